@@ -1,6 +1,6 @@
 """labkit measures a camera's optics from photographs of a known target.
 
-Everything a script needs is here; a name is loaded when it is first used, so that importing labkit costs nothing.
+All public names are here. A name is loaded at its first use, so `import labkit` is quick.
 
 >>> import labkit
 >>> results = labkit.fit("my-session")

@@ -1,9 +1,11 @@
-"""Run functions that read foreign files in a process of its own, with limits of time and memory.
+"""Run functions that read foreign files in a separate process, with limits of time and memory.
 
-Libraries that decode photographs walk whatever a damaged file states: for minutes, through gigabytes, or into memory that
-is not theirs. The process is begun with the first file and serves all that follow; it ends with a file that breaks a limit,
-and another one takes its place. What comes back is a value of the type that the function states, see `labkit.typed_file`,
-so that not even a process that a file has taken over can make this one run anything.
+Libraries that decode photographs follow whatever a damaged file states: for minutes,
+through gigabytes, or into foreign memory. The process starts with the first file and serves
+all later ones. A file that breaks a limit ends the process, and a new process serves the
+next file. Results travel as values of the type that the function states (see
+`labkit.typed_file`), so even a process under an attacker's control cannot run code in this
+one.
 """
 
 from __future__ import annotations
@@ -66,10 +68,10 @@ BEGIN = (
 def run_apart(
     function: Callable[Arguments, Value], *args: Arguments.args, **kwargs: Arguments.kwargs
 ) -> Value:
-    """Return what a function returns of a file, which is its first argument, from the process with limits.
+    """Return the value of a function of a file, its first argument, computed in the separate process.
 
-    Raises InputError or RawError as the function does, InputError for a file that breaks a limit or the process,
-    and OSError.
+    Raises InputError or RawError as the function does, InputError for a file that breaks a
+    limit or the process, and OSError.
     """
     if _serving:  # it is that process itself
         return function(*args, **kwargs)
@@ -179,7 +181,10 @@ _serving = False
 
 
 def _ask(request: bytes) -> tuple[dict[str, Any], Arrays]:
-    """Return the answer of the process, which is begun if there is none. Raises InputError where it ended."""
+    """Return the answer of the process, which is started if none runs.
+
+    Raises InputError if the process ended.
+    """
     global _process
     if _process is None or _process.of != os.getpid():
         _process = _Process()
@@ -234,7 +239,7 @@ def _write(file: Any, content: bytes | memoryview) -> None:
 
 
 def serve(memory: int) -> None:
-    """Answer requests on standard input until it ends. What libraries print goes nowhere.
+    """Answer requests on standard input until its end. Discard what libraries print.
 
     memory: descriptor of the file for arrays
     """
@@ -250,7 +255,7 @@ def serve(memory: int) -> None:
 
 
 def _answer(request: bytes, memory: int) -> bytes:
-    """Do what is asked, within limits, and return what comes of it; its arrays go into the file for them."""
+    """Serve a request within limits and return the answer; its arrays go into the file for arrays."""
     arrays: Arrays = {}
     answer: dict[str, JSON]
     try:
@@ -284,7 +289,7 @@ def _answer(request: bytes, memory: int) -> bytes:
 
 
 def _here() -> Path | None:
-    """Return the current folder, which relative paths start from; None if it was removed."""
+    """Return the current folder, which relative paths start from; None if the folder was removed."""
     try:
         return Path.cwd()
     except OSError:
@@ -301,7 +306,10 @@ def _allowed(path: Path) -> tuple[float, int]:
 
 
 def _limit(seconds: float, memory_bytes: int) -> None:
-    """Take no more than that from now on; where the system knows no limits, only the clock does."""
+    """Limit the processor time and the memory of this process from now on.
+
+    On a system without such limits only the clock limits the process.
+    """
     with suppress(ImportError, OSError, ValueError):
         import resource
 

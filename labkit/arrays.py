@@ -1,4 +1,4 @@
-"""What an array handed to the mathematics must be, and one line that says so where it is not."""
+"""Check the arrays that callers pass to the mathematics, with one clear line for each fault."""
 
 import math
 from collections.abc import Sequence
@@ -10,10 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 def real_array(
     name: str, value: ArrayLike, shape: Sequence[int | None] | None, unit: str
 ) -> NDArray[np.float64]:
-    """The value as float64, of the given shape, where None stands for any length; None alone for any shape.
+    """Return the value as float64 of the given shape.
 
-    Raises ValueError that names the argument, its shape and its unit for another shape, for what is no real number
-    and for values that are not finite.
+    None in a shape stands for any length, None alone for any shape. Raises ValueError with
+    the argument's name, shape and unit for another shape, and for values that are not real
+    and finite.
     """
     array = np.asarray(value)
     if array.dtype.kind not in "fiu":
@@ -39,7 +40,10 @@ def real_array(
 
 
 def mask_array(name: str, value: ArrayLike, shape: Sequence[int]) -> NDArray[np.bool_]:
-    """The value as a mask of the given shape. Raises ValueError for another shape and for what is not boolean."""
+    """Return the value as a mask of the given shape.
+
+    Raises ValueError for another shape and for values that are not boolean.
+    """
     array = np.asarray(value)
     if array.dtype != np.bool_:
         raise ValueError(
@@ -53,7 +57,10 @@ def mask_array(name: str, value: ArrayLike, shape: Sequence[int]) -> NDArray[np.
 
 
 def symmetric(name: str, value: ArrayLike, size: int, unit: str) -> NDArray[np.float64]:
-    """The value as a symmetric matrix (size, size) of float64. Raises ValueError as `real_array` does, and for any other."""
+    """Return the value as a symmetric matrix (size, size) of float64.
+
+    Raises ValueError as `real_array` does, and for a matrix that is not symmetric.
+    """
     matrix = real_array(name, value, (size, size), unit)
     if not np.allclose(matrix, matrix.T, rtol=1e-8):
         raise ValueError(f"{name}, shape {matrix.shape}: it is not symmetric ({unit})")
@@ -61,7 +68,10 @@ def symmetric(name: str, value: ArrayLike, size: int, unit: str) -> NDArray[np.f
 
 
 def positive(name: str, value: float, unit: str) -> float:
-    """The value, a finite number above 0. Raises ValueError that names it and its unit for any other."""
+    """Return the value, a finite number above 0.
+
+    Raises ValueError with the argument's name and unit for any other value.
+    """
     if not (math.isfinite(value) and value > 0):
         raise ValueError(f"{name} = {value:g}: a number above 0 is needed ({unit})")
     return value

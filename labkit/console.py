@@ -1,4 +1,4 @@
-"""What the command line prints: text or JSON on stdout, errors and progress on stderr."""
+"""Print for the command line: text or JSON on stdout, errors and progress on stderr."""
 
 from __future__ import annotations
 
@@ -26,8 +26,12 @@ EVERY_S = 10.0
 
 @dataclass(slots=True)
 class Console:
-    """How to speak to whoever ran the command. hint: what to say where a command is cut short; interrupted_by: a signal's name;
-    bar: the one that moves; answered: whether JSON was printed, which is one object a command."""
+    """Output of one command, as the user chose: quiet, JSON or text.
+
+    hint: printed when a command is interrupted; interrupted_by: name of the signal; bar:
+    the progress bar at work; answered: whether JSON was printed (one object for each
+    command).
+    """
 
     quiet: bool = False
     json: bool = False
@@ -38,29 +42,29 @@ class Console:
     answered: bool = False
 
     def say(self, text: str) -> None:
-        """A line for people: not with --quiet or --json."""
+        """Print a line for people; nothing with --quiet or --json."""
         if not (self.quiet or self.json):
             print(text, flush=True)  # some is said while work goes on
 
     def answer(self, data: dict[str, Any]) -> None:
-        """What was asked for, as JSON: only with --json."""
+        """Print the command's answer as JSON; nothing without --json."""
         if self.json:
             self.answered = True
             print(json.dumps(data, indent=1, ensure_ascii=False))
 
     def failed(self, kind: str, message: str) -> None:
-        """What went wrong, as JSON in place of the answer, unless that was printed: it holds what is wrong."""
+        """Print an error as JSON, unless an answer, which states the error, was printed before."""
         if self.json and not self.answered:
             with suppress(OSError):
                 self.answer({"error": {"kind": kind, "message": printable(message)}})
 
     def warn(self, *texts: str) -> None:
-        """Lines on stderr that do not stop anything: not with --quiet."""
+        """Print warnings on stderr; nothing with --quiet."""
         for text in () if self.quiet else texts:
             print(f"labkit: warning: {printable(text)}", file=sys.stderr)
 
     def link(self, what: str, url: str) -> None:
-        """A page to open, on stderr; with its QR code on a terminal. Not with --quiet."""
+        """Print the address of a page on stderr, with its QR code on a terminal; nothing with --quiet."""
         if self.quiet:
             return
         print(f"{what}: {url}", file=sys.stderr)
@@ -72,7 +76,7 @@ class Console:
             print(code.getvalue(), file=sys.stderr)
 
     def table(self, rows: Sequence[Sequence[str]], indent: str = "") -> None:
-        """Rows in aligned columns; the first row is the heading."""
+        """Print rows in aligned columns; the first row is the heading."""
         widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
         for row in rows:
             cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
@@ -80,7 +84,10 @@ class Console:
 
     @contextmanager
     def progress(self, doing: str) -> Iterator[Progress]:
-        """A bar with the time left, on a terminal; elsewhere a line every ten seconds. Neither with --quiet."""
+        """Show a bar with the time left on a terminal, elsewhere a line every ten seconds.
+
+        With --quiet nothing is shown.
+        """
         if self.quiet:
             yield lambda done, total, step: None
             return
@@ -99,7 +106,7 @@ class Console:
 
     @contextmanager
     def still(self) -> Iterator[None]:
-        """Nothing moves while someone types."""
+        """Stop the progress bar while the user types."""
         bar = self.bar
         if bar is not None:
             bar.stop()
@@ -119,7 +126,7 @@ def _line(work: Work) -> str:
 
 @contextmanager
 def _lines(work: Work) -> Iterator[None]:
-    """Every so often a line on stderr that says how far work is."""
+    """Print the progress of some work on stderr at regular intervals."""
     ended = threading.Event()
 
     def speak() -> None:
@@ -137,6 +144,6 @@ def _lines(work: Work) -> Iterator[None]:
 
 
 def error_line(text: object) -> None:
-    """One line on stderr that a terminal can print, whatever the message holds; none where the terminal is gone."""
+    """Print one line on stderr, with unprintable characters escaped; nothing if the terminal is gone."""
     with suppress(OSError):
         print(f"labkit: {printable(' '.join(str(text).split()))}", file=sys.stderr)

@@ -85,7 +85,7 @@ Progress = Callable[[str], AbstractContextManager[Report]]
 
 @dataclass(frozen=True, slots=True)
 class Compared:
-    """A quantity as it truly is and as it was estimated."""
+    """A quantity's true value and its estimate."""
 
     quantity: str
     unit: str
@@ -107,25 +107,25 @@ class ComparedWavefront:
 
     @property
     def error_rms(self) -> float:
-        """RMS over the pupil of what was estimated less what is."""
+        """RMS of the difference between estimate and truth over the pupil."""
         return dist(self.truth, self.estimate)
 
     @property
     def expected_rms(self) -> float:
-        """The same, as the standard errors have it."""
+        """RMS error that the standard errors predict."""
         return hypot(*self.std)
 
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """What the demo found, and where it is shown."""
+    """The demo's estimates beside the truth, and the path of the report."""
 
     compared: tuple[Compared, ...]
     wavefronts: tuple[ComparedWavefront, ...]
     report: Path
 
     def rows(self) -> list[list[str]]:
-        """Quantity, truth, estimate, standard error, error over standard error."""
+        """Return rows of quantity, truth, estimate, standard error, and error over standard error."""
         return [
             [
                 f"{c.quantity} / {c.unit}" if c.unit else c.quantity,
@@ -139,7 +139,7 @@ class Comparison:
         ]
 
     def wavefront_rows(self) -> list[list[str]]:
-        """Wavefront, RMS of the truth, RMS of the error, that to be expected, all in waves; the worst mode's error."""
+        """Return rows of wavefront, RMS of truth, of error and expected error in waves; worst mode's error."""
         rows = []
         for w in self.wavefronts:
             z = [(e - t) / s for t, e, s in zip(w.truth, w.estimate, w.std, strict=True)]
@@ -156,7 +156,7 @@ class Comparison:
         return rows
 
     def as_json(self) -> dict[str, Any]:
-        """All of it, for --json."""
+        """Return the comparison for --json."""
         return {
             "report": str(self.report),
             "compared": [asdict(c) for c in self.compared],
@@ -167,10 +167,10 @@ class Comparison:
 
 
 def run_demo(folder: Path, seed: int, progress: Progress) -> Comparison:
-    """Capture, fit and report a session on the simulated bench of that seed.
+    """Capture, fit and report a session on the simulated bench of a seed.
 
-    progress: makes, for the name of a stage, a context that gives a function that is called with (done, total, step).
-    Raises SessionError if `folder` is there already.
+    progress: returns, for the name of a stage, a context whose value is called with (done,
+    total, step). Raises SessionError if `folder` exists.
     """
     refuse_existing(folder)
     text = PLAN.format(address=f"simulated:seed={seed}")
@@ -195,7 +195,7 @@ def run_demo(folder: Path, seed: int, progress: Progress) -> Comparison:
 
 
 def compare(results: Results, truth: Any) -> Iterator[Compared]:
-    """Each estimate beside its truth: best focus, pupil magnification, the lens, defocus."""
+    """Yield best focus, pupil magnification, lens and defocus, each with its true value."""
     focus = results.focus
     for channel, best in (focus.best_focus_mm if focus else {}).items():
         yield Compared(
@@ -226,7 +226,7 @@ def compare(results: Results, truth: Any) -> Iterator[Compared]:
 
 
 def compare_wavefronts(results: Results, truth: Any) -> Iterator[ComparedWavefront]:
-    """Each wavefront beside its truth, mode by mode."""
+    """Yield each wavefront with the true one, mode by mode."""
     visits = {visit.range_mm: visit for visit in truth.visits}
     for w in results:
         if w.range_mm is not None and w.range_mm in visits:
@@ -240,7 +240,7 @@ def compare_wavefronts(results: Results, truth: Any) -> Iterator[ComparedWavefro
 
 
 def next_steps(folder: Path) -> str:
-    """What to do after the demo, and how to have labkit on the path where it is not."""
+    """Return what to do after the demo, and how to put labkit on the path if necessary."""
     commands = {
         "labkit plan IMAGE": "drafts a plan from a photograph of your own",
         "labkit import FRAMES.csv PLAN.toml SESSION": "makes a session of photographs that you have",
@@ -272,7 +272,7 @@ def _on_the_path() -> str:
 
 
 def new_folder(base: Path) -> Path:
-    """`base`, or the first of base-2, base-3, … that is free: what is there is never overwritten."""
+    """Return `base` or the first of base-2, base-3, … that does not exist."""
     number, folder = 1, base
     while folder.exists():
         number += 1

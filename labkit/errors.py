@@ -1,15 +1,15 @@
 """The error tree.
 
 LabkitError                 something failed: one line, exit status 1
-├── InputError              what was given cannot be used: one line, exit status 2
+├── InputError              an input cannot be used: one line, exit status 2
 │   ├── PlanError           the plan is wrong
 │   ├── SessionError        the session folder, its journal or its lock
 │   ├── RawError            a file that is no usable photograph
 │   ├── TargetError         a target that cannot be made or is not in the frame
-│   └── DataError           frames that cannot answer what was asked
-├── FitError                an estimate that did not come about
+│   └── DataError           frames that do not suffice for the request
+├── FitError                an estimate that failed
 ├── LostTasksError          work whose processes were killed, or that lacked memory
-└── DeviceError             a device did not do what it was asked
+└── DeviceError             a device did not obey
     ├── DeviceTimeoutError
     ├── CameraError
     ├── RailError
@@ -27,7 +27,9 @@ LONGEST = 60
 
 
 class LabkitError(Exception):
-    """Base of everything labkit raises on purpose; its message is printable whatever file or device it repeats.
+    """Base of every error that labkit raises on purpose.
+
+    The message is printable, whatever text of a file or a device is in it.
 
     >>> try:
     ...     results = labkit.fit("night-3")
@@ -42,21 +44,21 @@ class LabkitError(Exception):
 
 
 class InputError(LabkitError):
-    """What was given cannot be used as it is."""
+    """An input cannot be used as it is."""
 
     exit_status = 2
 
 
 class PlanError(InputError):
-    """The plan is wrong; the message names field, value and what is allowed."""
+    """The plan is wrong; the message states field, value and what is allowed."""
 
 
 class SessionError(InputError):
-    """The session folder, its journal or its lock is not as it should be."""
+    """The session folder, its journal or its lock is damaged or in the wrong state."""
 
 
 class RawError(InputError):
-    """A file is not a photograph that can be used."""
+    """A file is no usable photograph."""
 
 
 class TargetError(InputError):
@@ -64,7 +66,7 @@ class TargetError(InputError):
 
 
 class DataError(InputError):
-    """The frames cannot answer what was asked."""
+    """The frames do not suffice for the request."""
 
 
 class FitError(LabkitError):
@@ -72,7 +74,7 @@ class FitError(LabkitError):
 
 
 class LostTasksError(LabkitError):
-    """Tasks that did not come to an end though tried alone. lost: each task and why."""
+    """Tasks did not finish, even when each ran alone. lost: each task and the reason."""
 
     def __init__(self, lost: Sequence[tuple[Any, str]]) -> None:
         self.lost = tuple(lost)
@@ -83,7 +85,7 @@ class LostTasksError(LabkitError):
 
 
 class DeviceError(LabkitError):
-    """A device did not do what it was asked."""
+    """A device did not obey."""
 
 
 class DeviceTimeoutError(DeviceError):
@@ -103,17 +105,17 @@ class RailLimitError(RailError):
 
 
 class DisplayError(DeviceError):
-    """The display failed, or did not confirm what it shows."""
+    """The display failed, or did not confirm its picture."""
 
 
 def printable(text: str) -> str:
-    """The text with everything that does not print, such as control characters, escaped as in Python."""
+    """Return the text with all unprintable characters, such as control characters, escaped as in Python."""
     return "".join(
         letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text
     )
 
 
 def shown(value: object) -> str:
-    """A value as a message repeats it: as Python writes it, cut short."""
+    """Return a value as a message repeats it: as Python writes it, shortened."""
     text = repr(value)
     return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."

@@ -1,7 +1,8 @@
-"""Where work runs: here, or in processes of this machine. Nothing else in labkit knows which.
+"""Run tasks here or in processes of this machine; the callers do not know which.
 
-Processes end with the one that began them, however that ends: each watches it. One that is killed, by the system for lack
-of memory as a rule, costs nothing but time: what was under way then is tried again, one task at a time.
+Each process watches its parent and ends with it, even if the parent is killed. If a process
+is killed, usually for lack of memory, the tasks under way at that moment run again, one at
+a time.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ _say: ContextVar[Callable[[str], None] | None] = ContextVar("say", default=None)
 
 
 def say(step: str) -> None:
-    """What the task at work here does now, for whoever began it (`heard` of `Workers`); unheard elsewhere."""
+    """Report the current step of this task to `heard` of `Workers`; elsewhere do nothing."""
     if (heard := _say.get()) is not None:
         heard(step)
 
@@ -71,12 +72,15 @@ class Run(Protocol):
     def __call__(
         self, function: Callable[[Task], Result], tasks: Sequence[Task]
     ) -> Iterator[tuple[int, Result]]:
-        """Yield (index, result) as they finish. Raises LostTasksError in the end for those that never did."""
+        """Yield (index, result) as tasks finish.
+
+        Raises LostTasksError at the end if some tasks never finished.
+        """
         ...
 
 
 def default_workers() -> int:
-    """As many as this process may use processors."""
+    """Return the number of processors that this process may use."""
     return (
         len(os.sched_getaffinity(0))
         if hasattr(os, "sched_getaffinity")
@@ -85,16 +89,17 @@ def default_workers() -> int:
 
 
 def pin_threads() -> None:
-    """One thread for linear algebra and OpenCV: the work is spread over processes instead."""
+    """Limit linear algebra and OpenCV to one thread: processes share the work instead."""
     threadpool_limits(1)
     cv2.setNumThreads(1)
     _keep_freed_memory()
 
 
 def _keep_freed_memory() -> None:
-    """Have the C library keep freed arrays for the next ones, where it is glibc.
+    """Make glibc keep freed arrays for reuse; do nothing with another C library.
 
-    Arrays of a model are made and freed by the hundred; handing each back to the system costs a fit 15 % of its time.
+    A model makes and frees arrays by the hundred; returning each to the system costs a fit
+    15 % of its time.
     """
     with suppress(OSError, AttributeError):
         mallopt = ctypes.CDLL(None).mallopt
@@ -111,12 +116,15 @@ def run_all(
 
 
 class Workers:
-    """Processes that work through one list of tasks after another, or this process itself where one is asked for.
+    """Processes that run one list of tasks after another; a single worker is this process itself.
 
-    As a context it is a function, `Run`: of a function and tasks, which travel by pickle where there are several workers.
-    The first exception, an interrupt too, ends the rest at once and is raised; but a task whose process is killed, or that
-    lacks memory, is tried again alone, and if it fails so too, LostTasksError names it after all others are done.
-    heard: called here with what tasks `say`, as they do. Raises ValueError for less than one worker.
+    As a context it is a function, `Run`, of a function and tasks. Tasks travel by pickle to
+    several workers. The first exception, an interrupt included, ends all other tasks at
+    once and is raised. A task whose process is killed, or that lacks memory, runs again
+    alone; if it fails again, LostTasksError names it after all other tasks are done.
+
+    heard: called with each text that a task passes to `say`. Raises ValueError for less
+    than one worker.
     """
 
     def __init__(self, count: int, heard: Callable[[str], None] | None = None) -> None:
@@ -140,7 +148,7 @@ class Workers:
             shutil.rmtree(self._folder, ignore_errors=True)
 
     def share(self, value: Value) -> Shared[Value]:
-        """A handle for tasks to a value, which each process reads once."""
+        """Return a handle for tasks to a value, which each process reads once."""
         digest = digest_of(value)
         if digest not in self._shared:
             self._shared[digest] = value
@@ -151,7 +159,7 @@ class Workers:
         return Stored(digest)
 
     def warm_up(self, module: str) -> None:
-        """Begin the processes, each with a module imported, while there is nothing yet for them to do: that takes a second."""
+        """Start the processes and import a module in each, which takes a second, while no task waits."""
         if self._count > 1:
             with _interrupt_held(), _main_hidden():
                 for _ in range(self._count):
@@ -160,7 +168,10 @@ class Workers:
     def __call__(
         self, function: Callable[[Task], Result], tasks: Sequence[Task]
     ) -> Iterator[tuple[int, Result]]:
-        """As of `Run`. Raises InputError besides where the folder for temporary files cannot be written to."""
+        """Run tasks as `Run` states.
+
+        Raises InputError besides if the folder for temporary files cannot be written to.
+        """
         lost: dict[int, str] = {}
         if self._count == 1:
             yield from _here(function, tasks, lost, self._heard, self._shared.__getitem__)
@@ -179,7 +190,7 @@ class Workers:
         tasks: Sequence[Task],
         lost: dict[int, str],
     ) -> Iterator[tuple[int, Result]]:
-        """All at once; those that were under way when a process was killed, or that lacked memory, one at a time."""
+        """Run all tasks at once; repeat tasks lost with a process, or for lack of memory, one at a time."""
         left = self._stored(tasks)
         suspects: list[int] = []
         while left:
@@ -200,7 +211,7 @@ class Workers:
         stored: Mapping[int, Path],
         failed: dict[int, str],
     ) -> Iterator[tuple[int, Result]]:
-        """Some tasks, all at once; `failed` is filled with those that lacked memory, or may be why a process was killed."""
+        """Run some tasks, all at once, and add to `failed` each that lacked memory or may have killed a process."""
         futures = self._submitted(function, stored)
         for future in self._as_completed(futures, stored):
             index = futures[future]
@@ -225,7 +236,7 @@ class Workers:
     def _as_completed(
         self, futures: Mapping[Future[Result], int], stored: Mapping[int, Path]
     ) -> Iterator[Future[Result]]:
-        """Futures as they end; what their processes say meanwhile is heard."""
+        """Yield futures as they end; pass on meanwhile what their processes say."""
         left, said, heard = set(futures), dict[int, str](), self._heard
         while left:
             done, left = first_done(
@@ -242,7 +253,10 @@ class Workers:
                         heard(step)
 
     def _stored(self, tasks: Sequence[Task]) -> dict[int, Path]:
-        """Tasks go by way of files: until 3.11.5 Python hung where workers ended while a long message was on its way."""
+        """Write each task to a file and return the paths.
+
+        Python before 3.11.5 hung when workers ended while a long message was on its way.
+        """
         stored = {index: self._tasks_folder() / str(index) for index in range(len(tasks))}
         for path, task in zip(stored.values(), tasks, strict=True):
             with writing(path):
@@ -269,7 +283,7 @@ class Workers:
                 }
 
     def _processes(self) -> ProcessPoolExecutor:
-        """The processes, begun if need be."""
+        """Return the processes, started if necessary."""
         if self._pool is None:
             # forked processes inherit the locks of OpenMP and cv2 in whatever state they are; fresh ones do not
             context = multiprocessing.get_context("spawn")
@@ -282,7 +296,7 @@ class Workers:
         return self._pool
 
     def _tasks_folder(self) -> Path:
-        """Where tasks are stored."""
+        """Return the folder of stored tasks."""
         if self._folder is None:
             self._folder = Path(mkdtemp(prefix="labkit-"))
         return self._folder
@@ -315,7 +329,7 @@ def _here(
 
 
 def _begin(folder: Path) -> None:
-    """What a worker does first."""
+    """Set up a worker."""
     threading.Thread(target=_end_with_parent, args=(folder,), daemon=True).start()
     pin_threads()
 
@@ -325,7 +339,7 @@ def _import(module: str) -> None:
 
 
 def _end_with_parent(folder: Path) -> None:
-    """Wait for the end of the process that began this one, clear up after it, and end too, whatever is being computed."""
+    """Wait for the parent process to end, clear up after it, and end this process at once."""
     parent = multiprocessing.parent_process()
     assert parent is not None
     wait([parent.sentinel])
@@ -334,12 +348,12 @@ def _end_with_parent(folder: Path) -> None:
 
 
 def _begun(stored: Path) -> Path:
-    """A file that is there once work on a task has begun."""
+    """Return the path of a file that exists once work on a task has begun."""
     return stored.with_name(f"{stored.name}.begun")
 
 
 def _said(stored: Path) -> Path:
-    """A file with what work on a task does now."""
+    """Return the path of the file with the current step of a task."""
     return stored.with_name(f"{stored.name}.said")
 
 
@@ -358,20 +372,20 @@ def _run_stored(function: Callable[[Task], Result], stored: Path) -> Result:
 
 
 def _of_digest(folder: Path, digest: str) -> Path:
-    """Where a shared value is stored."""
+    """Return the path of a shared value."""
     return folder / f"shared-{digest}"
 
 
 @lru_cache(maxsize=SHARED_KEPT)
 def _read(path: Path) -> object:
-    """A shared value, read once by a process."""
+    """Return a shared value, which each process reads once."""
     value: object = pickle.loads(path.read_bytes())
     return value
 
 
 @contextmanager
 def _saying(heard: Callable[[str], None] | None) -> Iterator[None]:
-    """What is said until the end goes there."""
+    """Send what this process says to `heard` until the end of the block."""
     token = _say.set(heard)
     try:
         yield
@@ -380,9 +394,9 @@ def _saying(heard: Callable[[str], None] | None) -> Iterator[None]:
 
 
 def _begin_tracker() -> None:
-    """Begin Python's own process that clears up after processes that were killed, so that nobody hears of it.
+    """Start Python's resource tracker so that it works unseen.
 
-    A terminal that is closed does not end it, and it does its work in silence.
+    A closed terminal does not end the tracker, and its messages go nowhere.
     """
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})  # it inherits both
     before = os.environ.get("PYTHONWARNINGS")
@@ -400,8 +414,11 @@ def _begin_tracker() -> None:
 
 @contextmanager
 def _main_hidden() -> Iterator[None]:
-    """Processes that are begun until the end do not run the script that began them anew, as Python has them do: it would
-    have to keep its work behind `if __name__ == "__main__"`, and nothing in it is needed."""
+    """Keep processes that start in this block from running the user's script again.
+
+    Python would run the script in each of them, unless its work stands behind `if __name__
+    == "__main__"`; the processes need nothing of it.
+    """
     main = vars(sys.modules["__main__"])
     kept: dict[str, object] = {
         name: main[name] for name in ("__file__", "__spec__") if name in main
@@ -415,8 +432,10 @@ def _main_hidden() -> Iterator[None]:
 
 @contextmanager
 def _interrupt_held() -> Iterator[None]:
-    """Hold Ctrl-C, SIGTERM and SIGHUP until the end. Processes that are begun meanwhile never see a Ctrl-C: whoever began
-    them ends them."""
+    """Hold Ctrl-C, SIGTERM and SIGHUP until the end of the block.
+
+    Processes that start meanwhile ignore Ctrl-C: their parent ends them.
+    """
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # processes inherit it
     in_main = threading.current_thread() is threading.main_thread()
     held: list[int] = []  # by way of another thread, whose mask is its own

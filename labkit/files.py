@@ -1,4 +1,4 @@
-"""Files that are whole or not there: written beside, synced, then renamed."""
+"""Write files that are whole or absent: written beside, synced, then renamed."""
 
 from __future__ import annotations
 
@@ -19,8 +19,11 @@ MOST_LINKS = 10
 
 
 def open_standard_streams() -> None:
-    """Open descriptors 0 to 2 where they are closed: the next file that is opened would be one, and whatever is printed, a
-    crash's dump too, would end up in it."""
+    """Open descriptors 0 to 2 where they are closed.
+
+    Otherwise the next opened file would get such a number, and printed text, or a crash's
+    dump, would end up in the file.
+    """
     for number in range(3):
         try:
             os.fstat(number)
@@ -29,7 +32,7 @@ def open_standard_streams() -> None:
 
 
 def refuse_special(path: Path) -> None:
-    """Raise OSError for a pipe, a device or a socket: to read one may never end, or begin."""
+    """Raise OSError for a pipe, a device or a socket, whose reading may never end, or begin."""
     if path.exists() and not path.is_file() and not path.is_dir():
         raise OSError(errno.EINVAL, "a pipe or a device; a file is needed", str(path))
 
@@ -37,7 +40,7 @@ def refuse_special(path: Path) -> None:
 def write_atomically(path: Path, content: bytes) -> None:
     """Write `content` to `path`, replacing what is there; a crash leaves the old file or the new one.
 
-    Raises InputError where it cannot be written.
+    Raises InputError if the file cannot be written.
     """
     beside = path.with_name(f".{path.name}.{os.getpid()}.part")
     with writing(path):
@@ -55,7 +58,7 @@ def write_atomically(path: Path, content: bytes) -> None:
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """An error of the system in writing `path` becomes an InputError that names it."""
+    """Turn a system error in writing `path` into an InputError that names the path."""
     try:
         yield
     except OSError as error:
@@ -82,7 +85,7 @@ def links_in(folder: Path) -> list[Path]:
 
 
 def link_problem(path: Path) -> str:
-    """Say what is wrong with a symbolic link in a session: what lies behind it, nobody holds to a checksum."""
+    """Describe a symbolic link in a session: no checksum covers the file behind the link."""
     return f"{path}: a link to {os.readlink(path)}; put the file or folder itself there, or remove it"
 
 
@@ -104,13 +107,13 @@ def drop_link(path: Path) -> None:
 
 
 def refuse_taken(path: Path) -> None:
-    """Raise InputError where there is a file of that name already."""
+    """Raise InputError if a file of this name exists."""
     if path.exists() or path.is_symlink():
         raise InputError(f"{path} is there already: give another name with --out")
 
 
 def write_new(path: Path, text: str) -> None:
-    """Write a file that was not there. Raises InputError where there is one already, or where it cannot be written."""
+    """Write a new file. Raises InputError if the file exists or cannot be written."""
     with writing(path):
         try:
             with path.open("x", encoding="utf-8") as file:
@@ -121,9 +124,9 @@ def write_new(path: Path, text: str) -> None:
 
 
 def copy_durably(source: Path, target: Path) -> str:
-    """Copy a file, sync it, and return the SHA-256 of what was written, in hexadecimal.
+    """Copy a file, sync it, and return the SHA-256 of the written bytes, in hexadecimal.
 
-    Raises InputError where it cannot be written.
+    Raises InputError if the copy cannot be written.
     """
     with writing(target):
         target.unlink(missing_ok=True)  # a link is not followed
@@ -135,13 +138,13 @@ def copy_durably(source: Path, target: Path) -> str:
 
 
 def sha256_of(path: Path) -> str:
-    """SHA-256 of a file's content, in hexadecimal."""
+    """Return the SHA-256 of a file's content, in hexadecimal."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def sync_folder(folder: Path) -> None:
-    """Make the names in a folder durable. Raises InputError where it cannot be written."""
+    """Make the names in a folder durable. Raises InputError if the folder cannot be written."""
     with writing(folder):
         handle = os.open(folder, os.O_RDONLY)
         try:
@@ -151,7 +154,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def checksum_problem(path: Path, sha256: str) -> str | None:
-    """What is wrong with a file that should have that SHA-256, in words that name it; None if it is as it should be."""
+    """Describe how a file contradicts its SHA-256; None if it does not."""
     if path.is_symlink():
         return link_problem(path)
     if not path.is_file():
@@ -167,7 +170,7 @@ def checksum_problem(path: Path, sha256: str) -> str | None:
 
 
 def is_name(name: Any) -> bool:
-    """Whether it is a string that is safe as a file name anywhere."""
+    """Whether a value is a string that is safe as a file name on every system."""
     return (
         isinstance(name, str)
         and re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}", name) is not None
@@ -175,7 +178,7 @@ def is_name(name: Any) -> bool:
 
 
 def check_name(name: str) -> str:
-    """`name` if it is safe as a file name anywhere. Raises SessionError otherwise."""
+    """Return `name` if it is safe as a file name on every system. Raises SessionError otherwise."""
     if not is_name(name):
         raise SessionError(
             f"name {name!r}: allowed is letters, digits, '.', '_' and '-', 200 at most, no '.' first"

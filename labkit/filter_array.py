@@ -1,6 +1,6 @@
-"""Where the pixels of one colour are: the cell of a colour filter array, repeated over the sensor.
+"""The pixels of each colour: the cell of a colour filter array, repeated over the sensor.
 
-The pattern of a cell is the colours of its rows: ``("RG", "GB")`` for a Bayer array.
+A pattern lists the colours in the rows of a cell: ``("RG", "GB")`` for a Bayer array.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class ChannelPixels:
         return self.period / sqrt(len(self.places))
 
     def mask(self, shape: tuple[int, ...]) -> Bools:
-        """Of `shape` (..., rows, columns), True for the channel's pixels."""
+        """Return an array of `shape` (..., rows, columns), True for the channel's pixels."""
         import numpy as np  # a plan is checked without it
 
         mask = np.zeros(shape, dtype=np.bool_)
@@ -47,14 +47,15 @@ class ChannelPixels:
 
 
 def pattern_of(cfa: str) -> Pattern:
-    """Pattern of a filter array as a plan writes it: "RGGB", "mono" or "RGB"."""
+    """Return the pattern of a filter array as a plan writes it: "RGGB", "mono" or "RGB"."""
     return {"mono": MONO, "RGB": IN_COLOURS}.get(cfa, (cfa[:2], cfa[2:]))
 
 
 def places_of(pattern: Pattern, name: str) -> tuple[Place, ...]:
-    """(row, column) of each pixel of a colour in the cell; the only one of a mono sensor, whatever the name.
+    """Return (row, column) of each pixel of a colour in the cell.
 
-    Raises RawError for a colour that the filter array lacks.
+    A mono sensor has a single pixel in the cell, whatever the name. Raises RawError for a
+    colour that the filter array lacks.
     """
     if pattern == MONO:
         return ((0, 0),)
@@ -70,7 +71,7 @@ def places_of(pattern: Pattern, name: str) -> tuple[Place, ...]:
 
 
 def channel_pixels(pattern: Pattern, name: str) -> ChannelPixels:
-    """The pixels of a colour: all of them where there are no filters, or every pixel has every colour.
+    """Return the pixels of a colour: all of them on a mono sensor or in a picture in colours.
 
     Raises RawError for a colour that the filter array lacks.
     """

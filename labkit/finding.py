@@ -1,4 +1,4 @@
-"""A finding: something that an estimate reports about itself, as data and as a sentence."""
+"""A finding: a statement of an estimate about itself, as data and as a sentence."""
 
 from __future__ import annotations
 
@@ -19,14 +19,16 @@ KEBAB_CASE = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What was found, where, with which numbers, and in words.
+    """A finding's code, wavefront, numbers and sentence.
 
     Parameters
     ----------
     code : kebab-case; a code never changes its meaning
-    key : the wavefront concerned; without a range, all wavefronts of its channel; None: the session
-    numbers : JSON, the unit at the end of each name; a number that is not finite becomes None
-    text : one sentence, made of the numbers
+    key : the wavefront concerned; without a range, all wavefronts of its channel; None: the
+        session
+    numbers : JSON, the unit at the end of each name; a number that is not finite becomes
+        None
+    text : one sentence with the numbers
     warns : whether a user should see the text as a warning
 
     Raises
@@ -71,7 +73,7 @@ class Finding:
 
     @classmethod
     def from_json(cls, entry: Mapping[str, Any], warnings: Collection[str]) -> Finding:
-        """Read what `as_json` returned.
+        """Read a finding written by `as_json`.
 
         Parameters
         ----------
@@ -88,7 +90,7 @@ class Finding:
 
 
 def each_once(findings: Iterable[Finding]) -> list[Finding]:
-    """Return the first of all findings that say the same."""
+    """Return the findings without repetitions."""
     first = dict[str, Finding]()
     for finding in findings:
         first.setdefault(finding.text, finding)
@@ -96,7 +98,7 @@ def each_once(findings: Iterable[Finding]) -> list[Finding]:
 
 
 def _plain(value: JSON) -> JSON:
-    """Return a value as JSON can hold it and reading returns it."""
+    """Return a value as JSON stores and returns it."""
     if isinstance(value, Mapping):
         return {str(name): _plain(inner) for name, inner in value.items()}
     if isinstance(value, list | tuple):

@@ -1,7 +1,8 @@
-"""Every finding that a fit can report: its code, and the sentence that is made of its numbers.
+"""Every finding that a fit can report: its code, and the sentence with its numbers.
 
-`found` makes a finding of a code and its numbers; where the sentence needs more than numbers in their places, a function
-below makes it. What each code means, and what to do about it, is in docs/troubleshooting.
+`found` makes a finding from a code and numbers. A function below makes each sentence that
+needs more than numbers in their places. docs/troubleshooting explains each code and the
+remedy.
 """
 
 from __future__ import annotations
@@ -165,8 +166,8 @@ def found(
     Parameters
     ----------
     code : a key of `TEXTS`
-    words : what the sentence holds besides the numbers
-    numbers : those of the finding; the sentence repeats them
+    words : parts of the sentence besides the numbers
+    numbers : numbers of the finding, which the sentence repeats
 
     Raises
     ------
@@ -180,7 +181,7 @@ def found(
 
 
 def flats_of_another_range(range_mm: float | None, taken_mm: float | None) -> Finding:
-    """A range has no flats; those of the nearest range serve it."""
+    """Return the finding that the nearest range's flats serve a range without flats."""
     words = {"where": _at(range_mm), "taken": _at(taken_mm)}
     return found(
         "flats-of-another-range", None, words, range_mm=range_mm, taken_mm=taken_mm
@@ -188,14 +189,14 @@ def flats_of_another_range(range_mm: float | None, taken_mm: float | None) -> Fi
 
 
 def flats_partly_unlit(range_mm: float | None, unlit: float) -> Finding:
-    """A share of the frame, 0 to 1, is unlit in the flats of a range."""
+    """Return the finding that a share of the frame, 0 to 1, is unlit in the flats of a range."""
     return found(
         "flats-partly-unlit", None, {"where": _at(range_mm)}, range_mm=range_mm, unlit=unlit
     )
 
 
 def unanswered(findings: Collection[Finding]) -> str | None:
-    """Return what was to be estimated and could not be, in words; None where all was."""
+    """Name the requested quantities that could not be estimated; None if all were."""
     return (
         "; ".join(finding.text for finding in findings if finding.code in NO_ANSWER) or None
     )

@@ -1,8 +1,9 @@
 """Keep completed fits on disk, so that an interrupted fit of a session continues.
 
-A fit is deterministic. Its file is named by a hash of all inputs: task, function and labkit's own source. A fit with other
-inputs never takes it. Each file is signed with a secret of the user: a session travels, and a fit that came with it from
-somebody else, or was altered, is made again.
+A fit is deterministic. Its file is named by a hash of all inputs: task, function and
+labkit's own source. A fit with other inputs never takes the file. Each file is signed with
+a secret of the user, because sessions travel: a stored fit from another user, or an altered
+one, is computed again.
 """
 
 from __future__ import annotations
@@ -34,10 +35,11 @@ SIGNATURE_BYTES = hashlib.sha256().digest_size
 
 
 class KeptFits:
-    """A `Run` that stores the results of another run in a folder, and reads stored results instead of computing them again.
+    """A `Run` that stores the results of another run in a folder and reads stored results back.
 
-    Functions must state the type of their results, of which `typed_file` makes files. If the folder cannot be written,
-    fits continue, and `problem` states the reason; it is None otherwise.
+    Functions must annotate the type of their results, which `typed_file` writes. If the
+    folder cannot be written, fits continue, and `problem` states the reason; it is None
+    otherwise.
     """
 
     def __init__(self, run: Run, folder: Path) -> None:
@@ -71,7 +73,7 @@ class KeptFits:
 
     @property
     def findings(self) -> list[Finding]:
-        """Stored results that were not used, for they are not the user's own, or altered."""
+        """Stored results that were not used because they are altered or from another user."""
         if not self._refused:
             return []
         folder = str(self._folder)
@@ -91,7 +93,7 @@ class KeptFits:
             self.problem = self.problem or str(error)
 
     def _read(self, place: Path, kind: Any) -> Any:
-        """Read a stored result; None if there is none, or if it is not to be trusted."""
+        """Read a stored result; None if there is none, or if its signature is wrong."""
         if self._folder.is_symlink() or not place.is_file():
             return None
         try:
@@ -105,7 +107,7 @@ class KeptFits:
         return None
 
     def _signature(self, place: Path, content: bytes) -> bytes:
-        """Return what nobody can make who does not know the user's secret."""
+        """Return a signature that only the user's secret can make."""
         return hmac.digest(self._secret, place.name.encode() + content, "sha256")
 
     @cached_property

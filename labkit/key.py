@@ -15,11 +15,11 @@ WRITTEN = ".12g"
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """Where a wavefront belongs. A key is hashable, and sorts by range, channel and tile.
+    """The identity of a wavefront. A key is hashable, and sorts by range, channel and tile.
 
     Parameters
     ----------
-    range_mm : mm as the plan states it, rounded to `DECIMALS`; None where it is unknown
+    range_mm : mm as the plan states it, rounded to `DECIMALS`; None if unknown
     channel : name of the channel
     tile : (row, column) of a tile of the field; None for the whole frame
 
@@ -59,7 +59,7 @@ class Key:
 
     @classmethod
     def from_json(cls, entry: Mapping[str, Any]) -> Key:
-        """Read what `as_json` returned. Raises KeyError, TypeError or ValueError for anything else."""
+        """Read a key written by `as_json`. Raises KeyError, TypeError or ValueError for any other entry."""
         range_mm, tile = entry["range_mm"], entry.get("tile")
         if tile is not None:
             row, column = tile

@@ -1,4 +1,4 @@
-"""The camera that a session measured, for other photographs by it: whether it is the same, and its optics."""
+"""The camera measured by a session, for its other photographs: same-camera check and optics."""
 
 from __future__ import annotations
 
@@ -28,10 +28,11 @@ def check_same_camera(
     *,
     force: bool = False,
 ) -> list[str]:
-    """What speaks against a session's PSF in photographs of a plan: other lens, aperture, sensor, channel, or camera body.
+    """Return the contradictions between a session's camera and a plan's photographs, as warnings.
 
-    camera: as the photographs state it, where they do. Returns the contradictions as warnings where `force` is set; else raises
-    DataError, one line that names them all and how to go on.
+    Lens, aperture, sensor, channels and camera body are compared. camera: body as the
+    photographs state it, empty if they do not. Raises DataError with all contradictions and
+    the remedy unless `force`.
     """
     wrong = [*_numbers(results.plan, plan), *_channels(results, plan, channels)]
     theirs = camera_of(results)
@@ -45,7 +46,7 @@ def check_same_camera(
 
 
 def _numbers(theirs: Plan, ours: Plan) -> list[str]:
-    """Where lens and sensor differ."""
+    """Return the differences of lens and sensor."""
     pairs = {
         "lens.focal_length_mm": (ours.lens.focal_length_mm, theirs.lens.focal_length_mm),
         "lens.f_number": (ours.lens.f_number, theirs.lens.f_number),
@@ -60,7 +61,7 @@ def _numbers(theirs: Plan, ours: Plan) -> list[str]:
 
 
 def _channels(results: Results, plan: Plan, channels: Collection[str]) -> list[str]:
-    """Channels that the session lacks, or has in another light."""
+    """Return the channels that the session lacks, or has at another wavelength."""
     wrong = []
     for name in channels:
         light = next(c.wavelength_nm for c in plan.channel if c.name == name)
@@ -75,7 +76,7 @@ def _channels(results: Results, plan: Plan, channels: Collection[str]) -> list[s
 
 
 def camera_of(results: Results) -> str:
-    """The body that the session's photographs name; empty where they or the session are not at hand."""
+    """Return the body that the session's photographs name; empty if session or photographs are missing."""
     if results.folder is None:
         return ""
     try:
@@ -86,7 +87,7 @@ def camera_of(results: Results) -> str:
 
 
 def optics_behind(results: Results, plan: Plan, wavefront: Wavefront) -> Optics:
-    """Light, sensor and lens that a plan's photographs see with through one of a session's wavefronts."""
+    """Return the optics of a plan's photographs: a session's wavefront and camera, the plan's sensor."""
     channel = wavefront.channel
     optics = optics_of(plan, channel)
     given = {part.name: part for part in (*optics.given, *_found(results.model_parts))}
@@ -105,7 +106,7 @@ def optics_behind(results: Results, plan: Plan, wavefront: Wavefront) -> Optics:
 
 
 def _found(quantities: Mapping[str, Uncertain]) -> list[Part]:
-    """Return the parts of the camera by the quantities that results keep; of the light, a wavefront keeps its own."""
+    """Return the parts of the camera from the quantities in results."""
     known = [part for part in KNOWN.values() if not part.per_channel]
     return [
         found for part in known if (found := part.from_quantities(quantities)) is not None

@@ -12,7 +12,7 @@ MOST_NOLL = 37
 
 @dataclass(frozen=True, slots=True)
 class ModeGroup:
-    """Zernike modes that are added to a model together: a radial order, or a part of one.
+    """Zernike modes that join a model together: a radial order, or a part of one.
 
     Parameters
     ----------

@@ -1,4 +1,7 @@
-"""How much longer work takes, by the steps that are done: counted down, never to nothing while there is more to do."""
+"""Predict how long some work will still take, from its completed steps.
+
+The predicted time falls steadily and never reaches zero before the end.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ PAUSED = "paused on the operator's page"
 
 
 class Pace:
-    """Steps done of those to do, and when; times in seconds of any clock. Time on hold counts for nothing."""
+    """Completed and total steps with their times, in seconds of any clock; time on hold does not count."""
 
     def __init__(self) -> None:
         self.done = self.total = 0
@@ -20,7 +23,10 @@ class Pace:
         self._held_s = 0.0
 
     def at(self, done: int, total: int, now_s: float) -> None:
-        """So many steps are done of so many, now. Fewer than before, none yet, or of an unknown number, begin anew."""
+        """Record that `done` of `total` steps are complete.
+
+        Fewer steps than before, zero, or an unknown number begin a new count.
+        """
         if done < self.done or not (total and self.total):
             self._ends = []
         if not self._ends or done > self.done:
@@ -28,12 +34,12 @@ class Pace:
         self.done, self.total = done, total
 
     def hold(self, now_s: float) -> None:
-        """Nothing is done from now on."""
+        """Stop the count of time."""
         if self._held_since_s is None:
             self._held_since_s = now_s
 
     def go_on(self, now_s: float) -> None:
-        """Work goes on."""
+        """Continue the count of time."""
         if self._held_since_s is not None:
             self._held_s += now_s - self._held_since_s
             self._held_since_s = None
@@ -44,11 +50,11 @@ class Pace:
         return self._held_since_s is not None
 
     def left_s(self, now_s: float) -> float | None:
-        """Seconds left at the mean pace of the later half of the steps that are done.
+        """Return the seconds left at the mean pace of the later half of the completed steps.
 
-        None before one is, on hold, at the end, and where the last step takes longer than that: nobody knows how much longer.
-        A step is expected to take as long as the mean. One that takes longer is about to end for as long as that takes: what is
-        left of it falls by exp(-t), so that the sum falls all the time.
+        Return None before the first step, on hold, at the end, and while the last step
+        takes longer than predicted. A step is expected to take the mean time. The time left
+        of a longer step falls by exp(-t), so that the sum falls all the time.
         """
         first, latest = self._ends[:1], self._ends[-1:]
         if self.on_hold or first == latest or self.done >= self.total:
@@ -67,7 +73,10 @@ class Pace:
 
 
 def in_words(seconds: float) -> str:
-    """A time as people say it; below ten minutes to a second, so that a line every ten seconds never says the same twice."""
+    """Return a time in words, to a second below ten minutes.
+
+    Lines that appear every ten seconds therefore always differ.
+    """
     whole = max(1, math.ceil(seconds))
     if whole < 90:
         return f"{whole} s"
@@ -79,7 +88,7 @@ def in_words(seconds: float) -> str:
 
 @dataclass(slots=True)
 class Work:
-    """How far some work is."""
+    """The progress of some work."""
 
     doing: str
     step: str = ""
@@ -87,7 +96,7 @@ class Work:
     began_s: float = field(default_factory=lambda: time.monotonic())
 
     def report(self, done: int, total: int, step: str) -> None:
-        """Take note that a step begins, as a `Progress`."""
+        """Record the start of a step, as a `Progress`."""
         now_s = time.monotonic()
         if step == PAUSED:
             self.pace.hold(now_s)
@@ -97,7 +106,7 @@ class Work:
         self.step = step
 
     def times(self) -> str:
-        """How long it has taken, and how much longer it takes, in words that cannot be taken for each other."""
+        """Return the elapsed time and the time left, in words that keep the two apart."""
         now_s = time.monotonic()
         so_far, left_s = f"{in_words(now_s - self.began_s)} so far", self.pace.left_s(now_s)
         if left_s is not None:

@@ -1,7 +1,8 @@
-"""A target on a panel whose own pixels are seen: each colour lights a stripe of each pixel, with dark gaps between.
+"""A target on a panel with resolved pixels: stripes of one colour with dark gaps between them.
 
-The stripe of a colour is a third of a pixel wide, shifted by a third from colour to colour, and lit over a share of it: the
-aperture. Drawn in closed form as `labkit.target.CellTarget` is, stripe by stripe.
+A stripe is a third of a pixel wide, shifted by a third from colour to colour, and lit over
+a share of its area: the aperture. Stripes are drawn in closed form, as in
+`labkit.target.CellTarget`.
 """
 
 from __future__ import annotations
@@ -26,12 +27,13 @@ USUAL_APERTURE = 0.85
 
 @dataclass(frozen=True, slots=True)
 class PanelTarget:
-    """One colour of a target on a panel, a stripe to each pixel.
+    """One colour of a target on a panel, with one stripe in each pixel.
 
-    pixels: (rows, cols) radiance of the panel's pixels, the mean over each; size_mm: (height, width) of all of them; place: of
-    the colour's stripe in a pixel, 0, 1 or 2 from left to right, or from top to bottom where the stripes are `lying`.
-    aperture: (across, down) the stripe, shares of a third of a pixel and of a pixel that are lit, above 0. surround: as of
-    `CellTarget`, dark. Raises TargetError for other numbers.
+    pixels: (rows, cols) mean radiance of each panel pixel; size_mm: (height, width) of all
+    of them; place: of the colour's stripe in a pixel, 0, 1 or 2 from left to right, or from
+    top to bottom for `lying` stripes. aperture: (across, down) the stripe, lit shares of a
+    third of a pixel and of a pixel, above 0. surround: as of `CellTarget`, dark. Raises
+    TargetError for other numbers.
     """
 
     pixels: Floats
@@ -69,7 +71,7 @@ class PanelTarget:
     def of(
         cls, target: Target, pixels: tuple[int, int], place: int, *, lying: bool = False
     ) -> PanelTarget:
-        """A target on so many (rows, cols) of a panel's pixels, each as bright as the target is at its middle."""
+        """Return a target on (rows, cols) panel pixels, each with the target's radiance at its middle."""
         y, x = (
             ((np.arange(n) + 0.5) / n - 0.5) * side
             for n, side in zip(pixels, target.size_mm, strict=True)
@@ -83,17 +85,20 @@ class PanelTarget:
         )
 
     def lit(self, across: float, down: float) -> PanelTarget:
-        """The same with another aperture."""
+        """Return the target with another aperture."""
         return replace(self, aperture=(across, down))
 
     def sample(self, y_mm: ArrayLike, x_mm: ArrayLike, bandwidth_per_mm: float) -> Floats:
-        """Radiance on the grid y_mm (m,) × x_mm (n,) after the low-pass filter of `CellTarget.sample`, exactly: (m, n)."""
+        """Return the radiance (m, n) on the grid y_mm (m,) × x_mm (n,), exactly.
+
+        The low-pass filter of `CellTarget.sample` limits the bandwidth.
+        """
         return self._drawn(y_mm, x_mm, bandwidth_per_mm, (_lit, _lit))
 
     def slopes(
         self, y_mm: ArrayLike, x_mm: ArrayLike, bandwidth_per_mm: float
     ) -> tuple[Floats, Floats]:
-        """Derivatives (m, n) of `sample` by the aperture's two numbers, exactly."""
+        """Return the derivatives (m, n) of `sample` with respect to the aperture's two numbers, exactly."""
         across, down = (
             self._drawn(y_mm, x_mm, bandwidth_per_mm, by)
             for by in ((_lit, _lit_slope), (_lit_slope, _lit))
@@ -101,7 +106,7 @@ class PanelTarget:
         return (down, across) if self.lying else (across, down)
 
     def radiance(self, y_mm: ArrayLike, x_mm: ArrayLike) -> Floats:
-        """Exact point values at broadcast (y_mm, x_mm); 0 between the stripes and outside."""
+        """Return exact point values at broadcast (y_mm, x_mm); 0 between the stripes and outside."""
         places = np.broadcast_arrays(
             real_array("y_mm", y_mm, None, "mm"), real_array("x_mm", x_mm, None, "mm")
         )
@@ -117,12 +122,15 @@ class PanelTarget:
         return np.where(inside, self.pixels[index[0], index[1]] / share, 0.0)
 
     def _along(self, axis: int) -> tuple[int, float]:
-        """Pixels along an axis, and their pitch, mm."""
+        """Return the number of pixels along an axis, and their pitch, mm."""
         many = self.pixels.shape[axis]
         return many, self.size_mm[axis] / many
 
     def _stripe(self, axis: int) -> tuple[float, float, float]:
-        """Along an axis, in pixels: where a stripe's middle lies from its pixel's, how wide it is lit, how wide it could be."""
+        """Return a stripe's offset from the middle of its pixel, its lit width and its full width.
+
+        All three are along an axis, in pixels.
+        """
         across, down = self.aperture
         if (axis == 0) == self.lying:
             return (self.place - 1) / STRIPES, across / STRIPES, 1 / STRIPES
@@ -135,7 +143,7 @@ class PanelTarget:
         bandwidth_per_mm: float,
         by: tuple[_Profile, _Profile],
     ) -> Floats:
-        """(m, n) of profiles along y and x."""
+        """Return the (m, n) product of profiles along y and x."""
         if not (np.isfinite(bandwidth_per_mm) and bandwidth_per_mm > 0):
             raise ValueError(f"bandwidth {bandwidth_per_mm} cycles/mm: it must be above 0")
         places = (
@@ -160,14 +168,14 @@ _Profile = Callable[[Floats, float], Floats]
 
 
 def _lit(at: Floats, width: float) -> Floats:
-    """A box of unit area, behind the filter for a bandwidth of 1."""
+    """Return a box of unit area after the filter for a bandwidth of 1."""
     reach, step = low_pass()
     ends = (step(np.clip(at + sign * width / 2, -reach, reach)) for sign in (1, -1))
     return np.asarray((next(ends) - next(ends)) / width)
 
 
 def _lit_slope(at: Floats, width: float) -> Floats:
-    """Its derivative by its width."""
+    """Return the derivative of `_lit` with respect to the width."""
     reach, step = low_pass()
     kernel, edges = step.derivative(), [at + sign * width / 2 for sign in (1, -1)]
     beyond = (

@@ -30,7 +30,7 @@ def terminal() -> Terminal | None:
 
 @contextmanager
 def bar_of(work: Work, shown_on: Terminal) -> Iterator[Bar]:
-    """A bar that moves until the end of the block."""
+    """Move a progress bar until the end of the block."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(bar_width=20),
@@ -42,7 +42,7 @@ def bar_of(work: Work, shown_on: Terminal) -> Iterator[Bar]:
 
 
 class Bar(Progress):
-    """A bar, and below it what is being done, cut where the line ends."""
+    """A bar with the current step below, shortened to the width of the terminal."""
 
     def __init__(
         self, work: Work, *columns: ProgressColumn, console: Terminal, transient: bool

@@ -33,7 +33,7 @@ class Carried(Generic[Value]):
 
 @dataclass(frozen=True)
 class Stored(Generic[Value]):
-    """A value that is looked up by its digest where the task runs."""
+    """A shared value, read by its digest in the task's process."""
 
     digest: str
 

@@ -1,7 +1,8 @@
-"""What a target is: radiance as exact geometry in millimetres, sampled on demand.
+"""A target: radiance as exact geometry in millimetres, sampled on demand.
 
-Radiance is relative: 1 is white, 0 is black. The origin is the target's centre, y runs down, x runs right.
-Kinds plug in by the entry point group ``labkit.targets``: name -> factory(TargetSpec) -> Target.
+Radiance is relative: 1 is white, 0 is black. The origin is the target's centre, y runs
+down, x runs right. Kinds plug in by the entry point group ``labkit.targets``: name ->
+factory(TargetSpec) -> Target.
 """
 
 from __future__ import annotations
@@ -43,15 +44,26 @@ class Target(Protocol):
 
     @property
     def surround(self) -> float | None:
-        """Radiance of the plane around it; None where it is not known."""
+        """Radiance of the plane around the target; None if unknown."""
         ...
 
     def sample(self, y_mm: ArrayLike, x_mm: ArrayLike, bandwidth_per_mm: float) -> Floats:
-        """Band-limited radiance on the grid y_mm (m,) × x_mm (n,) -> (m, n)."""
+        """Return the band-limited radiance on a grid.
+
+        Parameters
+        ----------
+        y_mm : (m,)
+        x_mm : (n,)
+        bandwidth_per_mm : end of the pass band, cycles/mm
+
+        Returns
+        -------
+        (m, n)
+        """
         ...
 
     def radiance(self, y_mm: ArrayLike, x_mm: ArrayLike) -> Floats:
-        """Point values at broadcast (y_mm, x_mm), without any filter."""
+        """Return point values at broadcast (y_mm, x_mm), without any filter."""
         ...
 
 
@@ -59,9 +71,17 @@ class Target(Protocol):
 class CellTarget:
     """A target of equal rectangular cells, each of one radiance.
 
-    cells: (rows, cols) radiance, finite and not negative; size_mm: (height, width) of all of them;
-    surround: radiance of the plane around, None = unknown (it is then taken as 0 and must be masked by whoever cares).
-    Raises TargetError for anything else.
+    Parameters
+    ----------
+    cells : (rows, cols) radiance, finite and not negative
+    size_mm : (height, width) of all cells together
+    surround : radiance of the plane around; None if unknown, then drawn as 0, to be masked
+        by the caller
+
+    Raises
+    ------
+    TargetError
+        for any other value
     """
 
     cells: Floats
@@ -100,13 +120,28 @@ class CellTarget:
         return self.size_mm[0] / rows, self.size_mm[1] / cols
 
     def sample(self, y_mm: ArrayLike, x_mm: ArrayLike, bandwidth_per_mm: float) -> Floats:
-        """Radiance on a grid after an ideal low-pass filter in y and in x: exact, without an intermediate raster.
+        """Return the radiance on a grid after an ideal low-pass filter in y and in x.
 
-        y_mm: (m,), x_mm: (n,) in mm; bandwidth_per_mm: the pass band's end in cycles/mm. Returns (m, n).
-        The pass band is flat within 1e-4, the stop band begins at 1.3 times the bandwidth and is below 1e-4:
-        the samples alias nothing if they are closer than 1 / (2.3 bandwidth). Each cell contributes the difference
-        of the filter's step response at its two edges, so the whole is B_y @ cells @ B_x.T.
-        Raises ValueError unless bandwidth_per_mm > 0. The object of thesis §2.4.1 and (2.28).
+        The result is exact: no raster lies between. The pass band is flat within 1e-4. The
+        stop band begins at 1.3 times the bandwidth and is below 1e-4, so samples closer
+        than 1 / (2.3 bandwidth) have no aliases. Each cell contributes the difference of
+        the filter's step responses at its two edges: the whole is B_y @ cells @ B_x.T. The
+        object of thesis §2.4.1 and (2.28).
+
+        Parameters
+        ----------
+        y_mm : (m,)
+        x_mm : (n,)
+        bandwidth_per_mm : end of the pass band, cycles/mm
+
+        Returns
+        -------
+        (m, n)
+
+        Raises
+        ------
+        ValueError
+            unless bandwidth_per_mm > 0
         """
         if not (np.isfinite(bandwidth_per_mm) and bandwidth_per_mm > 0):
             raise ValueError(f"bandwidth {bandwidth_per_mm} cycles/mm: it must be above 0")
@@ -127,7 +162,7 @@ class CellTarget:
         return blurred
 
     def radiance(self, y_mm: ArrayLike, x_mm: ArrayLike) -> Floats:
-        """Exact point values at broadcast (y_mm, x_mm); the surround (0 if unknown) outside."""
+        """Return exact point values at broadcast (y_mm, x_mm); outside the surround, 0 if unknown."""
         y, x = np.broadcast_arrays(
             real_array("y_mm", y_mm, None, "mm"), real_array("x_mm", x_mm, None, "mm")
         )
@@ -147,9 +182,9 @@ class CellTarget:
 
 
 def distinct(cells: Floats) -> tuple[Floats, NDArray[np.intp], NDArray[np.intp]]:
-    """A table's rows and columns that differ, and which of them each row and each column is: computed with once.
+    """Return a table without repeated rows and columns, and the index of each original row and column.
 
-    Of the 243 rows of a carpet only 32 differ.
+    Computing with the distinct ones saves time: only 32 of a carpet's 243 rows differ.
     """
     rows, row_of = np.unique(cells, axis=0, return_inverse=True)
     core, col_of = np.unique(rows, axis=1, return_inverse=True)
@@ -157,9 +192,18 @@ def distinct(cells: Floats) -> tuple[Floats, NDArray[np.intp], NDArray[np.intp]]
 
 
 def open_target(spec: TargetSpec | str) -> Target:
-    """The target that a plan's [target] table describes, or a text as `read_spec` takes it.
+    """Open the target of a plan's [target] table, or of a text as `read_spec` reads it.
 
-    Raises PlanError, and TargetError for an unknown kind.
+    Parameters
+    ----------
+    spec : table of a plan, or a text
+
+    Raises
+    ------
+    PlanError
+        for a bad plan
+    TargetError
+        for an unknown kind
 
     >>> target = labkit.open_target("sierpinski:order=5,size_mm=46.8")
     """
@@ -173,9 +217,18 @@ def open_target(spec: TargetSpec | str) -> Target:
 
 
 def read_spec(text: str) -> TargetSpec:
-    """A target from a plan's path, or from ``kind:name=value,...`` such as ``sierpinski:order=5,size_mm=46.8``.
+    """Read a target from a plan's path, or from ``kind:name=value,...``.
 
-    Raises PlanError for a bad plan, TargetError for anything else that is not understood.
+    Parameters
+    ----------
+    text : such as ``sierpinski:order=5,size_mm=46.8``
+
+    Raises
+    ------
+    PlanError
+        for a bad plan
+    TargetError
+        for any other text that is not a target
     """
     if text.endswith(".toml"):
         return Plan.load(text).target
@@ -208,7 +261,7 @@ def _blurred_cells(
     groups: int,
     bandwidth_per_mm: float,
 ) -> Floats:
-    """What each group of equal cells of one axis adds to each sample: (m, groups)."""
+    """Return the contribution (m, groups) of each group of equal cells along an axis to each sample."""
     at = np.asarray(at_mm, dtype=np.float64)
     edges = (np.arange(group.size + 1) / group.size - 0.5) * side_mm
     reach, step = low_pass()
@@ -223,10 +276,11 @@ def _blurred_cells(
 
 @cache
 def low_pass() -> tuple[float, CubicHermiteSpline]:
-    """(reach, step): integral of `Target.sample`'s kernel, for a bandwidth of 1, from -reach up to the argument.
+    """Return (reach, step): the integral of `Target.sample`'s kernel from -reach, for a bandwidth of 1.
 
-    A sinc cut off midway between pass band and stop band under a Kaiser window: Kaiser, *Nonrecursive digital
-    filter design using the I0-sinh window function*, ISCAS 1974.
+    The kernel is a sinc cut off midway between pass band and stop band under a Kaiser
+    window: Kaiser, *Nonrecursive digital filter design using the I0-sinh window function*,
+    ISCAS 1974.
     """
     beta = 0.1102 * (RIPPLE_DB - 8.7)
     reach = (RIPPLE_DB - 7.95) / (2 * 2.285 * 2 * np.pi * (STOP_BAND - 1))

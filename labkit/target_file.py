@@ -22,7 +22,7 @@ MAX_PIXELS = 400_000_000
 
 @dataclass(frozen=True, slots=True)
 class Rendering:
-    """What was written: (rows, cols) pixels over (height, width) mm, and what the user should know."""
+    """A written target: (rows, cols) pixels over (height, width) mm, and notes for the user."""
 
     path: Path
     pixels: tuple[int, int]
@@ -33,10 +33,11 @@ class Rendering:
 def render_file(
     target: Target, path: Path, *, dpi: float | None = None, pixels: int | None = None
 ) -> Rendering:
-    """Write a target as PNG or PDF, as large as it is; the file appears whole or not at all.
+    """Write a target as PNG or PDF at its true size; the file is written whole or not at all.
 
-    dpi: raster in dots per inch, or pixels: dots along its height; neither: three dots a cell (one in a PDF), 600 dpi for
-    a target without cells. Grey levels are linear radiance. Raises TargetError for another suffix or an impossible raster.
+    dpi: raster in dots per inch; pixels: dots along the height instead; with neither, three
+    dots a cell (one in a PDF), or 600 dpi for a target without cells. Grey levels are
+    linear radiance. Raises TargetError for another suffix or an impossible raster.
     """
     if path.suffix.lower() not in (".png", ".pdf"):
         raise TargetError(
@@ -112,7 +113,7 @@ def _notes(target: Target, grey: NDArray[np.uint8]) -> list[str]:
 
 
 def _pdf(grey: NDArray[np.uint8], height_mm: float, width_mm: float) -> bytes:
-    """A page as large as the target, the raster in it as it is, not resampled."""
+    """Return a page as large as the target with the raster in it, not resampled."""
     page = Figure(figsize=(width_mm / MM_PER_INCH, height_mm / MM_PER_INCH))
     axes = page.add_axes((0, 0, 1, 1))
     axes.set_axis_off()

@@ -1,8 +1,9 @@
-"""Data classes as files, which are read back by their types alone: whatever a file holds, nothing in it is run.
+"""Store data classes in files and read them back by their types alone, without running anything.
 
-A file is an NPZ of all arrays, and of a JSON tree of everything else, in which a text names an array. The annotations say
-how a tree is read: data classes, tuples, mappings by text, arrays, numbers, texts, booleans, each of these or None, JSON.
-Where an annotation is a base class, the tree names one of the data classes derived from it.
+A file is an NPZ of all arrays and of a JSON tree of all other values, in which texts name
+arrays. Annotations tell how to read a tree: data classes, tuples, mappings by text, arrays,
+numbers, texts, booleans, each of these or None, JSON. For an annotation with derived data
+classes the tree names the class.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ def dump(value: object, kind: Any) -> bytes:
     Raises
     ------
     TypeError
-        The value is of another type, or the type is of no use here.
+        The value is of another type, or the type cannot be stored.
     """
     arrays: Arrays = {}
     tree = json.dumps(taken_apart(value, kind, arrays)).encode()
@@ -149,7 +150,7 @@ def _of_each(inner: tuple[Any, ...], count: int) -> tuple[Any, ...]:
 
 
 def _array(value: Any, inner: Sequence[Any]) -> NDArray[Any]:
-    """Return an array if its numbers are of the kind that is allowed. Raises TypeError otherwise."""
+    """Return an array if its numbers are of an allowed kind. Raises TypeError otherwise."""
     (allowed,) = typing.get_args(inner[1])
     kind = KINDS.get(allowed) or np.dtype(allowed).kind
     if not isinstance(value, np.ndarray) or value.dtype.kind != kind:
@@ -158,7 +159,7 @@ def _array(value: Any, inner: Sequence[Any]) -> NDArray[Any]:
 
 
 def _checked(tree: Any, kind: type) -> Any:
-    """Return what JSON holds if it is of a type. Raises TypeError otherwise."""
+    """Return a JSON value if it is of a type. Raises TypeError otherwise."""
     if kind is float and type(tree) is int:
         return float(tree)
     if type(tree) is not kind:
@@ -167,7 +168,7 @@ def _checked(tree: Any, kind: type) -> Any:
 
 
 def _named(name: object, base: Any) -> Any:
-    """Return the data class of that name, which is `base` or derived from it. Raises TypeError."""
+    """Return the data class of a name, `base` or derived from it. Raises TypeError."""
     # of a class with slots Python has two of one name: the later one is in use
     known = {one.__name__: one for one in _family(base) if hasattr(one, FIELDS)}
     if not isinstance(name, str) or name not in known:
@@ -186,6 +187,6 @@ def _family(base: Any) -> Iterator[Any]:
 
 @cache
 def _fields(data_class: type) -> tuple[tuple[str, Any], ...]:
-    """Return the names and types of what a data class is made from."""
+    """Return the names and types of a data class's arguments."""
     hints = typing.get_type_hints(data_class)
     return tuple((one.name, hints[one.name]) for one in fields(data_class) if one.init)

@@ -1,4 +1,4 @@
-"""Names for the types that many modules share: arrays by what they hold, kinds of photographs, progress."""
+"""Names of types that many modules share: arrays by content, kinds of photographs, progress."""
 
 from __future__ import annotations
 
@@ -35,4 +35,4 @@ Progress = Callable[[int, int, str], None]
 
 
 def no_progress(done: int, total: int, step: str) -> None:
-    """A `Progress` for work that nobody watches."""
+    """Ignore the progress of some work."""

@@ -14,7 +14,7 @@ SIGN_OPEN = "sign open"
 
 
 def decimals(std: float, most: int = DIGITS) -> int:
-    """Decimal places that give a standard error two significant digits; 4 where there is no error."""
+    """Return the decimal places that give a standard error two significant digits; 4 without an error."""
     if not (math.isfinite(std) and std > 0):
         return 4
     rounded = float(f"{std:.1e}")  # 0.0996 becomes 0.10
@@ -23,10 +23,20 @@ def decimals(std: float, most: int = DIGITS) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Uncertain:
-    """A value and its standard error, nan where that is unknown, infinite where the data do not determine the value.
+    """A value and its standard error.
 
-    unit: printed after both, such as "mm". sign_open: whether the negative of the value is as likely, as of an even Zernike
-    mode of one range; it is printed without its sign then. Raises ValueError for a negative standard error.
+    Parameters
+    ----------
+    value : the estimate
+    std : standard error; nan if unknown, infinite if the data do not determine the value
+    unit : printed after both, such as "mm"
+    sign_open : whether the negative of the value is as likely, as of an even Zernike mode
+        of one range; printed without a sign then
+
+    Raises
+    ------
+    ValueError
+        for a negative standard error
 
     >>> print(Uncertain(3024.0, 0.4, "mm"))
     3024.00 ± 0.40 mm
@@ -50,7 +60,7 @@ class Uncertain:
         return self._with_unit(f"({number})e{exponent:+03d}" if exponent else number)
 
     def __format__(self, spec: str) -> str:
-        """For a number's format (".2f", "+.3g") both numbers in it, for any other (">24") the text of `str` in it."""
+        """Return both numbers in a number's format (".2f", "+.3g"), or the text of `str` in a text's (">24")."""
         if spec[-1:] not in tuple("eEfFgG"):
             return format(str(self), spec)
         plain = spec.lstrip("+ ")
@@ -67,7 +77,7 @@ class Uncertain:
         )
 
     def as_json(self) -> dict[str, float | None]:
-        """{"value": ..., "std": ...}, null for what is not finite: JSON has no other name for it."""
+        """Return {"value": ..., "std": ...} with null for numbers that are not finite, which JSON lacks."""
         return {
             name: x if math.isfinite(x) else None
             for name, x in (("value", self.value), ("std", self.std))
@@ -75,7 +85,7 @@ class Uncertain:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any], unit: str = "") -> Uncertain:
-        """What `as_json` wrote; nan for null. Raises ValueError for anything else."""
+        """Read a value written by `as_json`, nan for null. Raises ValueError for any other entry."""
         numbers = (
             [data.get(name) for name in ("value", "std")]
             if isinstance(data, Mapping)
@@ -99,7 +109,7 @@ class Uncertain:
         return f", {SIGN_OPEN}" if self.sign_open else ""
 
     def _number(self) -> tuple[str, int]:
-        """Text of value and error, and the power of ten that is taken out of both."""
+        """Return the text of value and error, and the power of ten taken out of both."""
         if not math.isfinite(self.value):
             return "not determined" if math.isnan(self.value) else f"{self.value:g}", 0
         known = math.isfinite(self.std) and self.std > 0

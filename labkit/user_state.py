@@ -1,4 +1,4 @@
-"""What labkit keeps for a user of this machine from run to run, outside of all sessions."""
+"""Files that labkit keeps for a user of this machine from run to run, outside of all sessions."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ def state_folder() -> Path:
 def kept_secret(file: Path) -> str:
     """Return the secret in a file that only the user may read.
 
-    A new one is made if there is none, or if others can read it. A secret that cannot be kept serves for this run only.
+    A new secret is made if there is none, or if others can read it. A secret that cannot be
+    stored serves for this run only.
     """
     with suppress(OSError, UnicodeDecodeError):
         kept = file.read_text(encoding="ascii").strip()

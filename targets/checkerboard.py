@@ -1,4 +1,4 @@
-"""Black and white squares by turns, the top left one white."""
+"""A checkerboard of black and white squares, the top left one white."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ if TYPE_CHECKING:
 
 
 def open_target(spec: TargetSpec) -> CellTarget:
-    """``spec.cells`` squares along each side of ``spec.size_mm``. Raises TargetError without that number."""
+    """Return ``spec.cells`` squares along each side of ``spec.size_mm``.
+
+    Raises TargetError without the number of squares.
+    """
     if spec.cells is None:
         raise TargetError(
             '[target] kind = "checkerboard" needs cells, the number of squares along a side'

@@ -25,8 +25,9 @@ NODES = 12
 class Disks:
     """Black disks on a white sheet, each in the middle of a square.
 
-    grid: (rows, columns) of squares; spacing_mm: side of a square, middle to middle; diameter_mm: of a disk, less than that.
-    surround: radiance around the squares, None = unknown. Raises TargetError for anything else.
+    grid: (rows, columns) of squares; spacing_mm: side of a square, middle to middle;
+    diameter_mm: of a disk, less than the spacing. surround: radiance around the squares,
+    None = unknown. Raises TargetError for any other value.
     """
 
     grid: tuple[int, int]
@@ -47,11 +48,12 @@ class Disks:
         return self.grid[0] * self.spacing_mm, self.grid[1] * self.spacing_mm
 
     def sample(self, y_mm: ArrayLike, x_mm: ArrayLike, bandwidth_per_mm: float) -> Floats:
-        """Radiance on the grid y_mm (m,) × x_mm (n,) after the low-pass filter of `CellTarget.sample`: (m, n).
+        """Return the radiance (m, n) on the grid y_mm (m,) × x_mm (n,) after the filter of `CellTarget.sample`.
 
-        Along x each chord of a disk is the difference of the filter's step responses at its ends, exactly; along y the
-        chords r cos t at r sin t are integrated over t by Gauss's rule, to about 1e-6. All rows have the same chords.
-        Raises ValueError unless bandwidth_per_mm > 0.
+        Along x each chord of a disk is the difference of the filter's step responses at its
+        ends, exactly. Along y the chords r cos t at r sin t are integrated over t by
+        Gauss's rule, to about 1e-6. All rows have the same chords. Raises ValueError unless
+        bandwidth_per_mm > 0.
         """
         if not (np.isfinite(bandwidth_per_mm) and bandwidth_per_mm > 0):
             raise ValueError(f"bandwidth {bandwidth_per_mm} cycles/mm: it must be above 0")
@@ -89,7 +91,7 @@ class Disks:
         return np.asarray(around + (1 - around) * sheet - black)
 
     def radiance(self, y_mm: ArrayLike, x_mm: ArrayLike) -> Floats:
-        """Exact point values at broadcast (y_mm, x_mm); the surround (0 if unknown) outside."""
+        """Return exact point values at broadcast (y_mm, x_mm); the surround (0 if unknown) outside."""
         y, x = np.broadcast_arrays(
             real_array("y_mm", y_mm, None, "mm"), real_array("x_mm", x_mm, None, "mm")
         )
@@ -103,7 +105,7 @@ class Disks:
         return np.where(inside, white.astype(np.float64), self.surround or 0.0)
 
     def _middles(self) -> tuple[Floats, Floats]:
-        """y of each row of disks, x of each column, in mm."""
+        """Return y of each row of disks and x of each column, in mm."""
         rows, cols = (
             np.asarray((np.arange(n) - (n - 1) / 2) * self.spacing_mm, dtype=np.float64)
             for n in self.grid
@@ -112,7 +114,10 @@ class Disks:
 
 
 def open_target(spec: TargetSpec) -> Disks:
-    """``spec.grid`` disks of ``spec.diameter_mm``; all rows together are ``spec.size_mm`` high. Raises TargetError."""
+    """Return ``spec.grid`` disks of ``spec.diameter_mm``, in rows ``spec.size_mm`` high together.
+
+    Raises TargetError.
+    """
     if spec.grid is None or spec.diameter_mm is None:
         raise TargetError(
             '[target] kind = "disks" needs grid = [rows, columns] and diameter_mm'
@@ -123,7 +128,7 @@ def open_target(spec: TargetSpec) -> Disks:
 
 
 def _gauss(panels: int) -> tuple[Floats, Floats]:
-    """Nodes and weights from -pi/2 to pi/2."""
+    """Return nodes and weights from -pi/2 to pi/2."""
     node, weight = np.polynomial.legendre.leggauss(NODES)
     width = math.pi / panels
     middles = -math.pi / 2 + (np.arange(panels) + 0.5) * width

@@ -20,7 +20,7 @@ MOST_PIXELS = 2**26
 
 
 def open_target(spec: TargetSpec) -> CellTarget:
-    """The picture ``spec.file``, its first axis (rows) ``spec.size_mm`` long, its pixels square.
+    """Return the picture ``spec.file``, its first axis (rows) ``spec.size_mm`` long, its pixels square.
 
     Raises TargetError if the file is missing or is no 8- or 16-bit grey PNG, PGM or TIFF.
     """
@@ -35,9 +35,10 @@ def open_target(spec: TargetSpec) -> CellTarget:
 
 
 def read_radiance(path: Path) -> Floats:
-    """(rows, cols) relative radiance 0..1 of a grey picture: full scale of its bit depth (or PGM maximum) is 1.
+    """Return (rows, cols) relative radiance 0..1 of a grey picture.
 
-    A picture in colours whose three numbers are the same everywhere is grey. Raises TargetError.
+    Full scale of the bit depth (or the PGM maximum) is 1. A picture in colours with three
+    equal numbers everywhere is grey. Raises TargetError.
     """
     try:
         picture = read_picture(path, MOST_PIXELS)

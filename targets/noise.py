@@ -1,4 +1,4 @@
-"""Squares that are black or white by the toss of a coin, always the same ones for a seed."""
+"""A field of random black and white squares, always the same for a seed."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ if TYPE_CHECKING:
 
 
 def noise_cells(cells: int, seed: int) -> Floats:
-    """(cells, cells) radiances, 0 or 1 with even chances.
+    """Return (cells, cells) radiances, 0 or 1 with even chances.
 
-    A bit generator's raw words stay the same from one NumPy to the next, the numbers of a Generator may not: a print
-    must match its plan years later.
+    They are a bit generator's raw words, which stay the same in every NumPy; the numbers of
+    a Generator may change. A print must match its plan years later.
     """
     words = np.random.PCG64(seed).random_raw(cells * cells)
     return np.asarray(words >> np.uint64(63), dtype=np.float64).reshape(cells, cells)
 
 
 def open_target(spec: TargetSpec) -> CellTarget:
-    """``spec.cells`` squares along each side of ``spec.size_mm``, drawn from ``spec.seed``.
+    """Return ``spec.cells`` squares along each side of ``spec.size_mm``, drawn from ``spec.seed``.
 
     Raises TargetError without the number of squares.
     """

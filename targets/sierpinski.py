@@ -17,7 +17,7 @@ MAX_ORDER = 8
 
 
 def carpet_cells(order: int) -> Floats:
-    """(3**order, 3**order) radiances of a pre-carpet: the removed middle squares white (1), the rest black (0)."""
+    """Return (3**order, 3**order) radiances of a pre-carpet: removed middle squares 1 (white), the rest 0."""
     digits = np.arange(3**order)[:, None] // 3 ** np.arange(order) % 3 == 1
     removed = np.zeros((3**order, 3**order), dtype=bool)
     for level in range(order):
@@ -26,7 +26,7 @@ def carpet_cells(order: int) -> Floats:
 
 
 def open_target(spec: TargetSpec) -> CellTarget:
-    """A carpet of ``spec.order``, ``spec.size_mm`` a side. Raises TargetError for an order outside 1..8."""
+    """Return a carpet of ``spec.order``, ``spec.size_mm`` a side. Raises TargetError for an order outside 1..8."""
     if spec.order is None or not 1 <= spec.order <= MAX_ORDER:
         raise TargetError(
             f"[target] order = {spec.order}: a Sierpinski carpet has an order of 1 to {MAX_ORDER}"

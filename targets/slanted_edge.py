@@ -1,4 +1,4 @@
-"""A square, black on the left and white on the right of an edge that leans: what ISO 12233 measures sharpness with."""
+"""A square, black on the left and white on the right of a slanted edge, as in ISO 12233."""
 
 from __future__ import annotations
 
@@ -51,15 +51,16 @@ class SlantedEdge:
 
     @property
     def slope(self) -> float:
-        """Millimetres by which the edge goes right for each one down."""
+        """Millimetres to the right along the edge for each millimetre down."""
         return math.tan(math.radians(self.angle_deg))
 
     def sample(self, y_mm: ArrayLike, x_mm: ArrayLike, bandwidth_per_mm: float) -> Floats:
-        """Radiance on the grid y_mm (m,) × x_mm (n,) after the low-pass filter of `CellTarget.sample`: (m, n).
+        """Return the radiance (m, n) on the grid y_mm (m,) × x_mm (n,) after the filter of `CellTarget.sample`.
 
-        Along x each line is the filter's step response at the edge less that at the square's side, exactly; along y
-        the filter is integrated over the square's height by Gauss's rule, to about 1e-6: the kernel ends with a small step.
-        Raises ValueError unless bandwidth_per_mm > 0.
+        Along x each line is the filter's step response at the edge less the response at the
+        square's side, exactly. Along y the filter is integrated over the square's height by
+        Gauss's rule, to about 1e-6: the kernel ends with a small step. Raises ValueError
+        unless bandwidth_per_mm > 0.
         """
         if not (np.isfinite(bandwidth_per_mm) and bandwidth_per_mm > 0):
             raise ValueError(f"bandwidth {bandwidth_per_mm} cycles/mm: it must be above 0")
@@ -89,7 +90,7 @@ class SlantedEdge:
         return blurred
 
     def radiance(self, y_mm: ArrayLike, x_mm: ArrayLike) -> Floats:
-        """Exact point values at broadcast (y_mm, x_mm); the surround (0 if unknown) outside."""
+        """Return exact point values at broadcast (y_mm, x_mm); the surround (0 if unknown) outside."""
         y, x = np.broadcast_arrays(
             real_array("y_mm", y_mm, None, "mm"), real_array("x_mm", x_mm, None, "mm")
         )
@@ -100,12 +101,15 @@ class SlantedEdge:
 
 
 def open_target(spec: TargetSpec) -> SlantedEdge:
-    """An edge that leans by ``spec.angle_deg`` in a square of ``spec.size_mm``. Raises TargetError for other angles."""
+    """Return an edge slanted by ``spec.angle_deg`` in a square of ``spec.size_mm``.
+
+    Raises TargetError for other angles.
+    """
     return SlantedEdge(spec.size_mm, spec.angle_deg, SURROUNDS[spec.surround])
 
 
 def _gauss(half_mm: float, bandwidth_per_mm: float) -> tuple[Floats, Floats]:
-    """Nodes and weights, in mm, from -half_mm to half_mm: panels of at most 1 / bandwidth."""
+    """Return nodes and weights in mm from -half_mm to half_mm, in panels of at most 1 / bandwidth."""
     panels = max(1, math.ceil(2 * half_mm * bandwidth_per_mm))
     node, weight = np.polynomial.legendre.leggauss(NODES)
     width = 2 * half_mm / panels

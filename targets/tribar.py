@@ -1,4 +1,4 @@
-"""Three bars beside three bars across them, in octaves: each half as large as the one above it, and twice as often."""
+"""Pairs of three-bar groups, upright and lying, in octaves: each half as large as the one above."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FIELD = 12
 
 
 def triple() -> Floats:
-    """(12, 12) three upright white bars, five times as long as wide, one width apart (MIL-STD-150A)."""
+    """Return (12, 12) three upright white bars, five times as long as wide, one width apart (MIL-STD-150A)."""
     bars = np.zeros((FIELD, FIELD))
     for left in (1, 5, 9):
         bars[1:-1, left : left + 2] = 1.0
@@ -27,7 +27,7 @@ def triple() -> Floats:
 
 
 def tribar_cells(order: int) -> Floats:
-    """(12 2**order, same) radiances: above the largest triples, upright and lying; below twice the next octave."""
+    """Return (12 2**order, same) radiances: the largest groups above, the next octave twice below."""
     upright = np.kron(triple(), np.ones((2 ** (order - 1),) * 2))
     below = np.zeros((upright.shape[0], 2 * upright.shape[0]))
     if order > 1:
@@ -36,9 +36,10 @@ def tribar_cells(order: int) -> Floats:
 
 
 def open_target(spec: TargetSpec) -> CellTarget:
-    """``spec.order`` octaves of bars, ``spec.size_mm`` a side. Raises TargetError for an order outside 1..8.
+    """Return ``spec.order`` octaves of bars, ``spec.size_mm`` a side.
 
-    The widest bars are a twelfth of the side wide, those of octave k a twelfth over 2**(k - 1).
+    The widest bars are 1/12 of the side wide, bars of octave k 1/12 over 2**(k - 1). Raises
+    TargetError for an order outside 1..8.
     """
     if spec.order is None or not 1 <= spec.order <= MAX_ORDER:
         raise TargetError(

@@ -1,7 +1,8 @@
-"""A stepped grey wedge made of black and white cells alone: what a camera's tone curve is measured with.
+"""A stepped grey wedge of black and white cells alone, for measuring a camera's tone curve.
 
-Each step is a half-tone. Once a lens has blurred its dots into an even grey, its light is white's times the share of white
-cells, whatever the panel's gamma, for the panel shows nothing but black and white.
+Each step is a half-tone. Once a lens has blurred the dots into an even grey, a step's light
+is white's times the share of white cells, whatever the panel's gamma: the panel shows only
+black and white.
 """
 
 from __future__ import annotations
@@ -32,8 +33,11 @@ TILES = 8
 
 
 def thresholds() -> Floats:
-    """(8, 8) numbers 0 to 63 each once, neighbours far apart (Bayer, *An optimum method for two-level rendition of
-    continuous-tone pictures*, ICC 1973)."""
+    """Return (8, 8) numbers 0 to 63 each once, neighbours far apart.
+
+    Bayer, *An optimum method for two-level rendition of continuous-tone pictures*, ICC
+    1973.
+    """
     order = np.zeros((1, 1))
     for _ in range(3):
         order = np.block([[4 * order, 4 * order + 2], [4 * order + 3, 4 * order + 1]])
@@ -41,7 +45,7 @@ def thresholds() -> Floats:
 
 
 def wedge_cells() -> Floats:
-    """(256, 512) radiances, 0 or 1: 4 × 8 steps of 64 × 64 cells each."""
+    """Return (256, 512) radiances, 0 or 1: 4 × 8 steps of 64 × 64 cells each."""
     white = np.array(WHITE_CELLS)[np.array(STEPS)]
     rows, cols = white.shape
     side = len(thresholds()) * TILES
@@ -50,7 +54,7 @@ def wedge_cells() -> Floats:
 
 
 def open_target(spec: TargetSpec) -> CellTarget:
-    """The wedge, ``spec.size_mm`` high and twice as wide."""
+    """Return the wedge, ``spec.size_mm`` high and twice as wide."""
     return CellTarget(
         wedge_cells(), (spec.size_mm, 2 * spec.size_mm), SURROUNDS[spec.surround]
     )

@@ -1,4 +1,4 @@
-"""A camera by itself: what it lets be set, and what a photograph of it is worth. For `labkit camera`."""
+"""Examine a camera by itself, for `labkit camera`: its settings, and the quality of a photograph."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ BLOCKS = 8
 
 @dataclass(frozen=True, slots=True)
 class Alone:
-    """A camera and the plan it was opened with; planned: whether that states how to expose and what stands before it."""
+    """An open camera and its plan. planned: whether the plan states exposure and target."""
 
     camera: Camera
     plan: Plan
@@ -56,7 +56,7 @@ class Alone:
 
 @dataclass(frozen=True, slots=True)
 class ColourReport:
-    """Of one colour of a photograph: counts above black in the middle and at most, share that is full, noise of a pixel."""
+    """One colour of a photograph: counts above black in the middle, the highest count, saturated share, pixel noise."""
 
     name: str
     median: float
@@ -67,10 +67,11 @@ class ColourReport:
 
 @dataclass(frozen=True, slots=True)
 class FrameReport:
-    """A test photograph: how the camera exposed, how light and sharp it is, and what to look at by hand.
+    """A test photograph: its exposure, light and sharpness, and remarks for the user.
 
-    edge_px: pixels over which its sharpest edges rise; blur_px: diameter of the blur circle on the plan's target; each
-    None where nothing shows it; target: in words.
+    edge_px: rise of the sharpest edges, pixels; blur_px: diameter of the blur circle on the
+    plan's target; each None if not measured. target: result of the search for the target,
+    in words.
     """
 
     exposure_s: float
@@ -85,7 +86,10 @@ class FrameReport:
 
 
 def open_alone(where: str, context: DeviceContext | None = None) -> Alone:
-    """The camera of a plan, or at an address such as "gphoto2:". Raises PlanError, or what the driver raises."""
+    """Open the camera of a plan, or at an address such as "gphoto2:".
+
+    Raises PlanError, and the driver's errors.
+    """
     path = Path(where)
     planned = path.suffix == ".toml" or path.is_file()
     plan = Plan.load(path) if planned else Plan.parse(BARE.format(address=where), Path())
@@ -99,14 +103,14 @@ def open_alone(where: str, context: DeviceContext | None = None) -> Alone:
 
 
 def offered(camera: Camera) -> tuple[Setting, ...]:
-    """Everything that it lets be set or read. Raises CameraError for a camera that has no settings."""
+    """Return all settings of a camera. Raises CameraError for a camera without settings."""
     if not isinstance(camera, Adjustable):
         raise CameraError("this camera has no settings to list")
     return camera.settings()
 
 
 def take_test_frame(alone: Alone) -> FrameReport:
-    """Photograph once and look at it; nothing is kept. Raises what the driver raises, RawError, PlanError."""
+    """Take one photograph and judge it; nothing is kept. Raises the driver's errors, RawError, PlanError."""
     camera, settings = alone.camera, alone.plan.camera
     assert settings is not None
     camera.identify()
@@ -136,7 +140,10 @@ def take_test_frame(alone: Alone) -> FrameReport:
 
 
 def _blur_on_target(mosaic: Mosaic, alone: Alone) -> tuple[float | None, str]:
-    """The blur circle's diameter in pixels on the plan's target, where it is found, and what became of looking for it."""
+    """Return the diameter in pixels of the blur circle on the plan's target, and the search's result in words.
+
+    The diameter is None if the target is not found.
+    """
     if not alone.planned:
         return None, "not looked for: give a plan that describes it"
     try:
@@ -150,7 +157,7 @@ def _blur_on_target(mosaic: Mosaic, alone: Alone) -> tuple[float | None, str]:
 
 
 def light_problem(mosaic: Mosaic, alone: Alone) -> tuple[bool, str | None]:
-    """Whether a photograph has no light, and what is wrong with its light, if anything is: in the plan's channels."""
+    """Return whether a photograph is dark, and what is wrong with its light in the plan's channels, if anything."""
     names = _names(mosaic)
     wanted = {channel.name for channel in alone.plan.channel}
     if alone.planned and mosaic.pattern != MONO:
@@ -187,7 +194,10 @@ def _colours(mosaic: Mosaic) -> Iterator[ColourReport]:
 
 
 def _noise(plane: Counts, white: float) -> float:
-    """Noise of a pixel where the picture is smooth and nothing is full, for what is full has none."""
+    """Return the noise of a pixel where the photograph is smooth and not saturated.
+
+    Saturated pixels have no noise.
+    """
     blocks = [
         block
         for band in np.array_split(plane, BLOCKS)

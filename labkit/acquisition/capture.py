@@ -1,9 +1,10 @@
-"""Runs a plan on a bench: darks once, then at every range flats of the white panel and photographs of the target.
+"""Run a plan on a bench: at each range flats of the white panel and photographs of the target, then darks.
 
-Every photograph is committed to the session before the next is taken, so whatever interrupts a capture, it goes on with
-just what is missing. A frame's `range_mm` is the plan's number, the same for all frames of a stop; where the
-carriage was measured to stand is in the frame's meta, as `position_mm` and `measured_range_mm`, and as `homing` after the
-how many'th homing of the session that was: positions of two homings have two zeros.
+Every photograph is committed to the session before the next is taken, so an interrupted
+capture continues with the missing photographs. A frame's `range_mm` is the plan's number,
+the same for all frames of a station. The frame's meta holds the measured place of the
+carriage as `position_mm` and `measured_range_mm`, and the number of the session's homing as
+`homing`: each homing has its own range zero.
 """
 
 from __future__ import annotations
@@ -62,10 +63,22 @@ def capture(
     warn: Callable[[str], None] | None = None,
     check: bool = True,
 ) -> Session:
-    """Run a plan into a new session folder; returns the session, to read.
+    """Run a plan into a new session folder and return the session, to read.
 
-    plan: or its path; bench: opened devices; resume: go on with the session if it is there already. The others, and what is
-    raised, as in `run_plan`; SessionError besides for a folder that is taken.
+    Parameters
+    ----------
+    plan : or its path
+    bench : open devices
+    folder : of the session
+    resume : whether to continue the session if the folder exists
+    progress, ask, warn, check : as in `run_plan`
+
+    Raises
+    ------
+    SessionError
+        the folder is in use
+    DeviceError, DataError, TargetError, RawError, PlanError
+        as in `run_plan`
 
     >>> with labkit.open_devices(plan) as bench:
     ...     session = labkit.capture(plan, bench, "night-3")
@@ -84,12 +97,26 @@ def run_plan(
     warn: Callable[[str], None] | None = None,
     check: bool = True,
 ) -> None:
-    """Take every photograph that the session still lacks. The session is open to append.
+    """Take all photographs that the session still lacks.
 
-    ask: how to ask a person for the lens cap, where the camera has none of its own; warn: is called with what only a
-    person can check; check: look first whether all is right (`preflight`). Device trouble is tried again
-    up to three times. Raises DeviceError, DataError for a photograph that is useless (kept in SESSION/rejected),
-    TargetError, RawError, PlanError; whatever is raised, Ctrl-C too, calling it again goes on from there.
+    Device trouble is tried again up to three times. After any error, Ctrl-C included,
+    another call continues the session.
+
+    Parameters
+    ----------
+    session : open to append
+    ask : asks a person to cover the lens, if the camera cannot
+    warn : called with each remark that only a person can check
+    check : whether to run the preflight first
+
+    Raises
+    ------
+    DeviceError
+        trouble that lasts
+    DataError
+        a photograph is useless (and kept in SESSION/rejected)
+    TargetError, RawError, PlanError
+        as their names say
     """
     total = len(shots(session.plan))
     done = total - len(missing(session))
@@ -111,7 +138,7 @@ def run_plan(
 
 
 def _drawn_otherwise(plan: Plan, picture: PanelPicture) -> str | None:
-    """That the panel's whole pixels make the target larger or smaller than the plan has it, by more than the plan's error."""
+    """Return a warning if the panel's whole pixels change the target's size by more than the plan's error."""
     asked_mm, drawn_mm = open_target(plan.target).size_mm[0], picture.size_mm[0]
     stated = plan.target.stated_size
     if abs(drawn_mm / asked_mm - 1) <= stated.std / stated.value:
@@ -120,7 +147,7 @@ def _drawn_otherwise(plan: Plan, picture: PanelPicture) -> str | None:
 
 
 class _Capture:
-    """One run: what is taken, in which order, and what is kept."""
+    """One run: the photographs in their order, and what is kept."""
 
     def __init__(
         self, session: Session, devices: Devices, log: CaptureLog, ask: Ask | None
@@ -174,7 +201,7 @@ class _Capture:
         frames: int,
         warn: Callable[[str], None] | None,
     ) -> None:
-        """The preflight; ends where the capture begins, if that is at an end of the rail."""
+        """Run the preflight; finish at the capture's first range if this range is an end of the rail."""
         ends = (
             sorted({min(stops), max(stops)}, key=lambda range_mm: range_mm == stops[0])
             if stops
@@ -234,7 +261,7 @@ class _Capture:
             self._keep(*self._patient.photograph_in_place(picture, shot), shot)
 
     def _keep(self, raw: RawFrame, meta: dict[str, Any], shot: Shot) -> None:
-        """Commit a photograph, or put it aside and raise if it is useless."""
+        """Commit a photograph, or put a useless one aside and raise its error."""
         try:
             mosaic = self._checked(raw.path, shot)
         except InputError as problem:
@@ -250,7 +277,7 @@ class _Capture:
         self._log.took(shot, mosaic)
 
     def _checked(self, path: Path, shot: Shot) -> Mosaic:
-        """A photograph, decoded. Raises RawError or DataError for one that is useless."""
+        """Return a photograph, decoded. Raises RawError or DataError for a useless one."""
         plan = self._session.plan
         mosaic = read_raw(path, plan.sensor)
         problem = exposure_problem(
@@ -275,7 +302,7 @@ def _likeness(mosaic: Mosaic) -> str:
 
 
 def _set_aside(file: Path, folder: Path) -> Path:
-    """Move a file into a folder under a name that is free there."""
+    """Move a file into a folder under a free name."""
     folder.mkdir(exist_ok=True)
     numbered = (folder / f"{file.stem}-{number}{file.suffix}" for number in count(1))
     aside = next(

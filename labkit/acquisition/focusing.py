@@ -1,4 +1,4 @@
-"""Photographs one after another to focus by: how sharp each is beside those before it, how light, and where the target is."""
+"""Photograph again and again for focusing by hand, with sharpness, light and target of each photograph."""
 
 from __future__ import annotations
 
@@ -30,11 +30,13 @@ FRAME, LIVE_VIEW = "frame", "live view"
 
 @dataclass(frozen=True, slots=True)
 class FocusReading:
-    """A photograph to focus by. source: FRAME or LIVE_VIEW, whose pixels are not the sensor's.
+    """One photograph for focusing. source: FRAME or LIVE_VIEW, whose pixels are not the sensor's.
 
-    edge_px: pixels over which its sharpest edges rise, None without light or edges; full_percent: of the pixels; corners_px:
-    (4, 2) of the target, None where none was looked for or found; blur_px: diameter of the blur circle on it; margin_px: from
-    the target to the frame's edge; note: what is wrong with the light, or why there is no target.
+    edge_px: rise of the sharpest edges in pixels, None without light or edges;
+    full_percent: share of saturated pixels; corners_px: (4, 2) of the target, None if not
+    searched or not found; blur_px: diameter of the blur circle on the target; margin_px:
+    from the target to the frame's edge; note: fault of the light, or why there is no
+    target.
     """
 
     number: int
@@ -52,9 +54,9 @@ def focus(
     observers: Sequence[Observer] = (),
     going: Callable[[], bool] = lambda: True,
 ) -> Iterator[FocusReading]:
-    """Photograph and look, again and again while `going`; by the camera's live view where it has one. Nothing is kept.
+    """Photograph and judge again and again while `going`, by the camera's live view if there is one.
 
-    Raises what the driver raises, RawError, PlanError.
+    Nothing is kept. Raises the driver's errors, RawError, PlanError.
     """
     camera, settings = alone.camera, alone.plan.camera
     assert settings is not None
@@ -111,7 +113,7 @@ def _read(number: int, source: str, mosaic: Mosaic, alone: Alone) -> FocusReadin
 def _target(
     mosaic: Mosaic, alone: Alone
 ) -> tuple[Floats | None, float | None, float | None]:
-    """Where the plan's target is, its blur circle and how far it is from the frame's edge, in pixels."""
+    """Return the target's corners, its blur circle and its distance from the frame's edge, in pixels."""
     target = open_target(alone.plan.target)
     try:
         grey = grey_image(mosaic.counts - mosaic.black_map(), mosaic.pattern)

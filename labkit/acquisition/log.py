@@ -1,4 +1,4 @@
-"""What a capture reports: events to the journal and to observers, steps to whoever waits."""
+"""Reports of a capture: events to the journal and to observers, steps to the progress display."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ HOMED = "homed"
 
 
 class CaptureLog:
-    """done, total: photographs that the session has, and those of the whole plan."""
+    """Journal, observers and progress of a capture.
+
+    done, total: photographs of the session, and of the whole plan.
+    """
 
     def __init__(
         self,
@@ -34,17 +37,17 @@ class CaptureLog:
         self._progress = progress
 
     def note(self, event: str, **fields: Any) -> None:
-        """An event, into the journal and to observers."""
+        """Report an event to the journal and to observers."""
         self._session.log(event, **fields)
         self.show(event, **fields)
 
     def show(self, event: str, **fields: Any) -> None:
-        """An event that only observers see."""
+        """Report an event to observers only."""
         for observer in self._observers:
             observer.noted(event, **fields)
 
     def step(self, doing: str) -> None:
-        """A step begins, unless an observer holds it back."""
+        """Report the start of a step, unless an observer holds the capture."""
         self._progress(self.done, self.total, doing)
         self.show("doing", what=doing)
         for observer in self._observers:
@@ -56,13 +59,13 @@ class CaptureLog:
                 self._progress(self.done, self.total, doing)
 
     def saw(self, look: Look) -> None:
-        """A photograph that is not kept as a frame, to those who show it."""
+        """Pass a photograph that is not kept as a frame to observers."""
         for observer in self._observers:
             if isinstance(observer, Viewer):
                 observer.saw(look)
 
     def homed(self) -> int:
-        """The rail was homed; the how many'th time in this session, from 1, earlier processes counted."""
+        """Report that the rail was homed; return the homing's number in this session, from 1 over all processes."""
         homing = 1 + len(
             [event for event in self._session.events if event["event"] == HOMED]
         )
@@ -70,7 +73,7 @@ class CaptureLog:
         return homing
 
     def took(self, shot: Shot, mosaic: Mosaic) -> None:
-        """A photograph was committed."""
+        """Report a committed photograph."""
         self.done += 1
         self._progress(self.done, self.total, shot.name)
         for observer in self._observers:

@@ -30,11 +30,11 @@ TRIES = 3
 
 
 class PatientDevices:
-    """Camera, rail and display, each tried again on trouble, and what is known of where the carriage stands: positions
-    count from where the home switch tripped last, so each is noted with its homing.
+    """Camera, rail and display, each tried again on trouble, with the carriage's place.
 
-    folder: a camera writes its photograph there; it is emptied before each. Every method raises DeviceError if trouble
-    lasts.
+    Positions count from the last homing, so each is recorded with the number of its homing.
+    folder: a camera writes its photograph there; the folder is emptied before each. Every
+    method raises DeviceError if trouble lasts.
     """
 
     def __init__(self, plan: Plan, devices: Devices, log: CaptureLog, folder: Path) -> None:
@@ -51,7 +51,7 @@ class PatientDevices:
         return isinstance(self.devices.camera, Coverable)
 
     def cover(self, closed: bool) -> None:
-        """Cover the lens, or uncover it, where the camera can."""
+        """Cover the lens, or uncover it, if the camera can."""
         if isinstance(self.devices.camera, Coverable):
             self.devices.camera.cover(closed)
 
@@ -70,7 +70,7 @@ class PatientDevices:
         self._try("display", lambda: self.devices.display.show(picture), lambda: None)
 
     def go_to(self, range_mm: float) -> dict[str, Any]:
-        """Move and settle, unless it stands there; what is to be noted of the place."""
+        """Move to a range, unless the carriage is there, and settle. Return the place for the frame's meta."""
         if self._standing is not None and self._standing[0] == range_mm:
             return self._standing[1]
         self._standing = None
@@ -91,7 +91,7 @@ class PatientDevices:
     def photograph_in_place(
         self, picture: Picture, shot: Shot
     ) -> tuple[RawFrame, dict[str, Any]]:
-        """Photograph at the shot's range, again if the rail did not stay there; and what is to be noted of the place."""
+        """Photograph at the shot's range, again if the rail moved. Return the file and the place for its meta."""
         if shot.range_mm is None:
             return self.photograph(picture, shot.name), {}
         rail = self.devices.rail
@@ -115,13 +115,16 @@ class PatientDevices:
         raise AssertionError("unreachable: the last attempt returns or raises")
 
     def _note_overcome(self, device: str) -> None:
-        """Trouble that a device got over by itself."""
+        """Report faults that a device recovered from by itself."""
         of = getattr(self.devices, device)
         for error in of.overcome() if isinstance(of, Candid) else ():
             self._log.note("overcome", device=device, error=error)
 
     def photograph(self, picture: Picture, name: str) -> RawFrame:
-        """Expose, again if the display lost the picture that it shows meanwhile. name: of the file, without suffix."""
+        """Expose, again if the display lost its picture meanwhile.
+
+        name: of the file, without suffix
+        """
         display = self.devices.display
         for attempt in range(1, TRIES + 1):
             raw = self._try("camera", lambda: self._expose(name), self._ready_camera)
@@ -145,7 +148,7 @@ class PatientDevices:
         self._homing = self._log.homed()
 
     def _ready_camera(self) -> None:
-        """Find the camera, again if it had dropped off, and set it."""
+        """Find the camera, again if the connection was lost, and set it."""
         info = self.devices.camera.identify()
         self.devices.camera.configure(
             ExposureSettings(self._camera.exposure_s, self._camera.iso)
@@ -153,7 +156,7 @@ class PatientDevices:
         self._log.note("camera", model=info.model, serial=info.serial, driver=info.driver)
 
     def _expose(self, name: str) -> RawFrame:
-        """Into a folder that is thrown away: only a whole photograph gets into the session."""
+        """Expose into a temporary folder: only a whole photograph enters the session."""
         shutil.rmtree(self._folder, ignore_errors=True)
         with writing(self._folder):
             self._folder.mkdir()
@@ -162,7 +165,7 @@ class PatientDevices:
     def _try(
         self, device: str, action: Callable[[], Result], recover: Callable[[], object]
     ) -> Result:
-        """Do something with a device; on trouble recover and do it again, a bounded number of times."""
+        """Use a device; on trouble recover and try again, a bounded number of times."""
         for attempt in range(1, TRIES + 1):
             try:
                 if attempt > 1:

@@ -1,8 +1,9 @@
-"""Before the first photograph: is everything there and right, at both ends of the rail? All that is wrong is named at once.
+"""Check the bench before the first photograph, at both ends of the rail, and name all faults at once.
 
-Devices, room on the disk, a test photograph of white and one of the target at the nearest and the farthest range: is the
-light right, is the target wholly in the frame, is it sharp enough to be fitted? The test photographs of the latest preflight
-are kept in SESSION/preflight, each with a picture to look at that has the target's outline; they are no frames.
+The check covers devices, free disk space, and test photographs of white and target at the
+nearest and the farthest range: is the light right, is the whole target in the frame, is it
+sharp enough for a fit? The latest test photographs are kept in SESSION/preflight, each with
+a picture that shows the target's outline; they are no frames.
 """
 
 from __future__ import annotations
@@ -49,9 +50,9 @@ KEPT = "preflight"
 
 @dataclass(slots=True)
 class Findings:
-    """What came out: errors, what only a person can look at, and measured numbers, by what they are of.
+    """Results of a preflight: errors, remarks for a person, and measured numbers by subject.
 
-    dark: camera or display failed for good, so that no more photographs are tried.
+    dark: whether camera or display failed for good, so that no more photographs are tried.
     """
 
     problems: list[LabkitError] = field(default_factory=list)
@@ -60,7 +61,7 @@ class Findings:
     measured: dict[str, Any] = field(default_factory=dict)
 
     def tried(self, action: Callable[[], Result]) -> Result | None:
-        """Do it; None if it failed, which is then noted."""
+        """Return the result of an action; record its error and return None if it fails."""
         try:
             return action()
         except (DeviceError, InputError) as error:
@@ -68,13 +69,13 @@ class Findings:
             return None
 
     def succeeds(self, action: Callable[[], object]) -> bool:
-        """Do it; whether it did not fail."""
+        """Run an action, record its error, and return whether it succeeded."""
         before = len(self.problems)
         self.tried(action)
         return len(self.problems) == before
 
     def raise_problems(self) -> None:
-        """Raise the problem, or a single error that lists several; nothing if there is none."""
+        """Raise the only error, or a single one that lists all; do nothing without errors."""
         if len(self.problems) == 1:
             raise self.problems[0]
         if self.problems:
@@ -128,7 +129,7 @@ def _check(device: object, frames: int, findings: Findings) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Round:
-    """Test photographs, and what is in them. folder: they are kept there."""
+    """Test photographs and what they show. folder: of the photographs."""
 
     plan: Plan
     patient: PatientDevices
@@ -137,7 +138,7 @@ class _Round:
     folder: Path
 
     def round(self, picture: PanelPicture, range_mm: float) -> float | None:
-        """Photograph white and target at a range; the target's blur circle in pixels, if it is there."""
+        """Photograph white and target at a range. Return the target's blur circle in pixels; None without target."""
         if (white := self._photograph(range_mm, "white")) is not None:
             problem = (
                 self._check_white(white, range_mm)
@@ -170,7 +171,7 @@ class _Round:
         return problem or ""
 
     def _located(self, look: Look, range_mm: float, seen: Path) -> Look:
-        """With the target's corners, where they are found."""
+        """Return the look with the target's corners, if the target is found."""
         plan, target = self.plan, open_target(self.plan.target)
         given = plan.target.corners_px
         lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
@@ -230,7 +231,7 @@ class _Round:
         return kept
 
     def _keep(self, look: Look, kept: _Kept) -> None:
-        """Show what was found, and write it beside the photograph."""
+        """Show a look to observers, and write its picture beside the photograph."""
         self.log.saw(look)
         self.findings.succeeds(
             lambda: write_atomically(kept.seen, jpeg(look.mosaic, look.corners_px))
@@ -239,14 +240,14 @@ class _Round:
 
 @dataclass(frozen=True, slots=True)
 class _Kept:
-    """A test photograph and the file that it is kept as."""
+    """A test photograph and its file."""
 
     look: Look
     file: Path
 
     @property
     def seen(self) -> Path:
-        """A picture of it, to look at."""
+        """Path of the photograph's preview."""
         return self.file.with_name(f"{self.file.stem}_seen.jpg")
 
 
@@ -271,7 +272,10 @@ def _check_disk(folder: Path, frames: int, findings: Findings) -> None:
 
 
 def _focus_problems(plan: Plan, blurs_px: dict[float, float]) -> list[LabkitError]:
-    """Where the blur is beyond what a fit looks for, or best focus beyond the rail by more than the rail's own way."""
+    """Return errors for blur too large for a fit, and for best focus far beyond the rail.
+
+    Best focus may lie beyond the rail by at most the rail's own travel.
+    """
     lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
     pitch_mm = plan.sensor.pixel_pitch_um * 1e-3
     per_wave_um = blur_per_wave_um(lens.f_number, plan.reference_wavelength_nm * 1e-3)

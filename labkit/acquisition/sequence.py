@@ -1,4 +1,4 @@
-"""What a plan needs of the bench: which photographs, at which places, of which picture."""
+"""The photographs that a plan needs: their order, ranges and displayed pictures."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Shot:
 
 
 def shots(plan: Plan) -> tuple[Shot, ...]:
-    """Every photograph of a plan, in the order of taking. Raises PlanError without [camera] or [rail]."""
+    """Return all photographs of a plan in order. Raises PlanError without [camera] or [rail]."""
     camera, rail = bench_settings(plan)
     every = [Shot(f"dark_{i}", "dark", None) for i in range(camera.darks)]
     for range_mm in rail.ranges_mm:
@@ -45,16 +45,16 @@ def shots(plan: Plan) -> tuple[Shot, ...]:
 
 
 def missing(session: Session) -> tuple[Shot, ...]:
-    """What the session's plan needs and its journal has not."""
+    """Return the photographs that the session's plan needs and its journal lacks."""
     done = {Path(frame.file).stem for frame in session.frames}
     return tuple(shot for shot in shots(session.plan) if shot.name not in done)
 
 
 def picture_for(plan: Plan, devices: Devices) -> PanelPicture:
-    """The target as the display will show it; made before a session is begun.
+    """Return the target's picture for the display, before a session begins.
 
-    Raises TargetError or PlanError for a plan that these devices cannot run: a target that does not fit the panel, a
-    range that the rail does not reach.
+    Raises TargetError or PlanError for a plan that these devices cannot run: a target
+    larger than the panel, a range beyond the rail.
     """
     _, rail = bench_settings(plan)
     travel = devices.rail.travel_mm
@@ -75,7 +75,10 @@ def picture_for(plan: Plan, devices: Devices) -> PanelPicture:
 
 
 def shown_picture(plan: Plan, display: Display) -> PanelPicture:
-    """The target as a display shows it: on the panel's pixels, or on paper as large as the plan has it. Raises TargetError."""
+    """Return the target as a display shows it: on the panel's pixels, or on paper at the plan's size.
+
+    Raises TargetError.
+    """
     target = open_target(plan.target)
     if isinstance(display, OnPaper):
         return replace(panel_picture(target, display.panel), size_mm=target.size_mm)
@@ -84,9 +87,9 @@ def shown_picture(plan: Plan, display: Display) -> PanelPicture:
 
 @contextmanager
 def shown_target(plan: Plan, context: DeviceContext) -> Iterator[Display | None]:
-    """The display of a plan, which shows its target until the end of the block; None without one.
+    """Show a plan's target on its display until the end of the block; yield None without a display.
 
-    Raises what the driver raises, TargetError.
+    Raises the driver's errors and TargetError.
     """
     if plan.display is None:
         yield None
@@ -97,12 +100,12 @@ def shown_target(plan: Plan, context: DeviceContext) -> Iterator[Display | None]
 
 
 def fit_command(session: Path) -> str:
-    """What to type to fit a session."""
+    """Return the command that fits a session."""
     return shlex.join(["labkit", "fit", str(session)])
 
 
 def bench_settings(plan: Plan) -> tuple[CameraSettings, RailSettings]:
-    """Camera and rail of a plan. Raises PlanError for one that lacks them."""
+    """Return the camera and the rail of a plan. Raises PlanError if the plan lacks one of the two."""
     if plan.camera is None or plan.rail is None:
         raise PlanError("to capture, the plan needs [camera] and [rail]")
     return plan.camera, plan.rail

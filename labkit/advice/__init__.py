@@ -1,1 +1,1 @@
-"""What a plan's photographs will determine, before any is taken."""
+"""Predict what a plan's photographs will determine, before any is taken."""

@@ -33,11 +33,16 @@ MOST_ELECTRONS, LEAST_WANTED, FARTHEST_MM = 1e9, 1e-7, 1e7
 
 @dataclass(frozen=True)
 class RangeAdvice:
-    """One range.
+    """Advice for one range.
 
-    size_px: of the target's side; cell_airy: of its smallest cell in Airy radii; order: the highest whose cells the lens
-    resolves; size_mm: the least side at which it resolves the plan's order; defocus_waves: expected, RMS; std_*: standard
-    errors, waves RMS at the reference wavelength.
+    Parameters
+    ----------
+    size_px : side of the target, pixels
+    cell_airy : side of the smallest cell, Airy radii
+    order : highest carpet order whose cells the lens resolves
+    size_mm : least side at which the lens resolves the plan's order
+    defocus_waves : expected, RMS
+    std_* : standard errors, waves RMS at the reference wavelength
     """
 
     range_mm: float
@@ -51,7 +56,7 @@ class RangeAdvice:
     undetermined: tuple[str, ...]
 
     def as_json(self) -> dict[str, Any]:
-        """With null for errors that are not finite."""
+        """Return the advice as JSON, with null for errors that are not finite."""
         finite = {
             name: not isinstance(value, float) or isfinite(value)
             for name, value in asdict(self).items()
@@ -61,13 +66,21 @@ class RangeAdvice:
 
 @dataclass(frozen=True)
 class Advice:
-    """What to expect of a plan.
+    """The prediction for a plan.
 
-    channel: the one that the errors of wavefronts are of; ranges: one for each of the plan; session: what all of them together
-    will determine of the lens, None with fewer than two ranges; proposed_ranges_mm: ranges that would determine the pupil
-    magnification where the plan's do not, with proposed_std; told_noll: the last Zernike mode up to which the photographs of
-    the nearest range determine each mode to 0.01 waves, or 0; nearest_mm: the range where a pixel of the display is an Airy
-    radius, if there is a display; frames: photographs for each range for the wanted error, as exposed; notes: in words.
+    Parameters
+    ----------
+    channel : of the wavefronts whose errors are predicted
+    ranges : advice for each range of the plan
+    session : standard errors of the lens from all ranges; None with fewer than two
+    proposed_ranges_mm : ranges that would determine the pupil magnification, if the plan's
+        do not, with proposed_std
+    told_noll : last Zernike mode up to which the nearest range's photographs determine each
+        mode to 0.01 waves; or 0
+    nearest_mm : range where a pixel of the display spans an Airy radius; None without a
+        display
+    frames : photographs of each range for the requested error, at the exposure given
+    notes : remarks in words
     """
 
     channel: str
@@ -83,7 +96,7 @@ class Advice:
 
     @property
     def best_focus_std_mm(self) -> float | None:
-        """Of the channel that the errors are of; None with fewer than two ranges."""
+        """Standard error of best focus in `channel`, mm; None with fewer than two ranges."""
         return (
             None
             if self.session is None
@@ -92,7 +105,7 @@ class Advice:
 
     @property
     def magnification_std(self) -> float | None:
-        """Of the pupil magnification; None with fewer than two ranges."""
+        """Standard error of the pupil magnification; None with fewer than two ranges."""
         return None if self.session is None else self.session.std["pupil_magnification"]
 
     @property
@@ -101,7 +114,7 @@ class Advice:
         return self.session is not None and self.session.determined
 
     def as_json(self) -> dict[str, Any]:
-        """With null for errors that are not finite."""
+        """Return the advice as JSON, with null for errors that are not finite."""
         return asdict(self) | {
             "ranges": [at.as_json() for at in self.ranges],
             "best_focus_std_mm": self.best_focus_std_mm,
@@ -117,21 +130,24 @@ def advise(
     electrons: float = ELECTRONS,
     want_waves: float | None = None,
 ) -> Advice:
-    """What to expect of a plan, from its lens, sensor, target and ranges alone.
+    """Predict the standard errors of a plan from its lens, sensor, target and ranges alone.
 
-    The middle of the ranges is taken for best focus. Errors of wavefronts are those of the shortest wavelength, with the cone
-    known; those of the lens are what the estimate of the whole session will have.
+    Best focus is assumed in the middle of the ranges. Errors of wavefronts are for the
+    shortest wavelength and a known working f-number. Errors of the lens are for the
+    estimate of the whole session.
 
     Parameters
     ----------
-    ranges_mm : instead of the plan's
+    ranges_mm : in place of the plan's
     electrons : at white, in one photograph
-    want_waves : a wavefront's standard error
+    want_waves : requested standard error of a wavefront
 
     Raises
     ------
-    PlanError : where there are no ranges
-    DataError : where want_waves or electrons is not positive
+    PlanError
+        there are no ranges
+    DataError
+        want_waves or electrons is not positive
 
     >>> labkit.advise(plan, ranges_mm=[3000, 3200]).best_focus_std_mm
     """
@@ -169,12 +185,15 @@ def _advice(setup: Setup, ranges: Sequence[float], want_waves: float | None) -> 
 
 
 def shortest(plan: Plan) -> Channel:
-    """The channel of the shortest wavelength."""
+    """Return the channel of the shortest wavelength."""
     return min(plan.channel, key=lambda channel: channel.wavelength_nm)
 
 
 def _session(setup: Setup, fits: Mapping[float, ExpectedFit]) -> Outlook | None:
-    """What all ranges together will determine. fits: of the shortest wavelength, by range."""
+    """Predict the errors of all ranges together.
+
+    fits: of the shortest wavelength, by range
+    """
     plan = setup.plan
     ranges = [range_mm for range_mm, fit in fits.items() if not fit.bound.undetermined]
     if len(ranges) < 2 or DEFOCUS not in plan.fit.noll:
@@ -194,9 +213,9 @@ def _session(setup: Setup, fits: Mapping[float, ExpectedFit]) -> Outlook | None:
 
 
 def _proposal(setup: Setup, session: Outlook | None, nearest_mm: float) -> Proposal:
-    """Ranges that determine the pupil magnification where the session does not.
+    """Propose ranges for the pupil magnification if the session does not determine this number.
 
-    By fits of the shortest wavelength at the nearest range.
+    The proposal rests on fits of the shortest wavelength at the nearest range.
     """
     if session is None or session.determined:
         return Proposal()
@@ -223,7 +242,10 @@ def _check_numbers(electrons: float, want_waves: float | None) -> None:
 
 
 def _ranges(plan: Plan, ranges_mm: Sequence[float] | None) -> list[float]:
-    """The ranges to advise on, in order. Raises PlanError where there are none, or one that no lens images."""
+    """Return the ranges to advise on, in order.
+
+    Raises PlanError without ranges, or for a range that no lens images.
+    """
     ranges = sorted(set(ranges_mm or (plan.rail.ranges_mm if plan.rail else ())))
     if not ranges:
         raise PlanError(
@@ -240,7 +262,7 @@ def _ranges(plan: Plan, ranges_mm: Sequence[float] | None) -> list[float]:
 def _wanted_frames(
     advised: Sequence[RangeAdvice], frames: int, want_waves: float | None
 ) -> int | None:
-    """Photographs of each range for a wanted error."""
+    """Return the number of photographs of each range for the requested error."""
     worst = max(at.std_wavefront_waves for at in advised)
     if want_waves is None or not isfinite(worst):
         return None
@@ -248,20 +270,26 @@ def _wanted_frames(
 
 
 def best_order(plan: Plan, range_mm: float) -> int:
-    """The highest carpet order whose cells span an Airy radius or more at a range, (3.50)-(3.52) corrected; 0 for none."""
+    """Return the highest carpet order whose cells span an Airy radius at a range, or 0.
+
+    Equations (3.50) to (3.52) of the thesis, corrected.
+    """
     elements = plan.target.size_mm / _airy_on_target_mm(plan, range_mm)
     return min(MOST_ORDER, floor(log(max(elements, 1.0)) / log(3)))
 
 
 def _airy_on_target_mm(plan: Plan, range_mm: float) -> float:
-    """Radius of the Airy disc seen on the target at a range, for the shortest wavelength; (3.49) corrected."""
+    """Return the radius of the Airy disc on the target at a range, shortest wavelength; (3.49) corrected."""
     wavelength_mm = shortest(plan).wavelength_nm * 1e-6
     diameter_mm = plan.lens.focal_length_mm / plan.lens.f_number
     return AIRY_ZERO * wavelength_mm / diameter_mm * range_mm
 
 
 def _nearest_mm(plan: Plan) -> float | None:
-    """Range at which a pixel of the plan's display is an Airy radius, (3.49) corrected; nearer it is seen as a pixel."""
+    """Return the range at which a pixel of the plan's display spans an Airy radius; (3.49) corrected.
+
+    At a shorter range the photograph resolves the pixels.
+    """
     panel = plan_panel(plan)
     return None if panel is None else panel.pitch_mm / _airy_on_target_mm(plan, 1.0)
 

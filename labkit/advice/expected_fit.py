@@ -1,4 +1,4 @@
-"""Standard errors of a fit to photographs that are not taken yet, by the Fisher information of the forward model."""
+"""Predict the standard errors of a fit before its photographs exist, by the model's Fisher information."""
 
 from __future__ import annotations
 
@@ -49,16 +49,17 @@ WIDEST_PX = 160
 
 @dataclass(frozen=True)
 class ExpectedFit:
-    """A fit that is not made yet.
+    """The expected result of a fit.
 
-    bound: of all parameters, modes first, the cone's f-number known; measured: as the session's estimate takes it.
+    bound: of all parameters, modes first, the working f-number known; measured: as the
+    session's estimate reads fits.
     """
 
     bound: Bound
     measured: Measured
 
     def scaled(self, factor: float) -> ExpectedFit:
-        """The same with all standard errors times a factor."""
+        """Return the fit with all standard errors multiplied by a factor."""
         return ExpectedFit(
             replace(self.bound, covariance=self.bound.covariance * factor**2),
             replace(self.measured, covariance=self.measured.covariance * factor**2),
@@ -67,9 +68,10 @@ class ExpectedFit:
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """Plan, lens, target and light of all photographs to come.
+    """Plan, lens, target and light of the expected photographs.
 
-    focus_mm: the range that the lens is focused at; electrons: at white, in one photograph; frames: photographs of each range.
+    focus_mm: range of best focus; electrons: at white, in one photograph; frames:
+    photographs of each range.
     """
 
     plan: Plan
@@ -81,7 +83,7 @@ class Setup:
 
     @classmethod
     def of(cls, plan: Plan, ranges_mm: Sequence[float], electrons: float) -> Setup:
-        """By a plan's numbers, the lens focused in the middle of the ranges."""
+        """Return the setup of a plan, with best focus in the middle of the ranges."""
         lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
         frames = plan.camera.frames_per_range if plan.camera else 1
         return cls(
@@ -94,14 +96,14 @@ class Setup:
         )
 
     def side_px(self, range_mm: float) -> float:
-        """Side of the target in the photograph, pixels."""
+        """Return the side of the target in the photograph, pixels."""
         pitch_um = self.plan.sensor.pixel_pitch_um
         return self.plan.target.size_mm / float(
             ground_sample_mm(self.lens, range_mm, pitch_um)
         )
 
     def defocus(self, range_mm: float) -> float:
-        """Defocus at a range, waves RMS at the reference wavelength."""
+        """Return the defocus at a range, waves RMS at the reference wavelength."""
         reference_nm = self.plan.reference_wavelength_nm
         return float(defocus_waves(self.lens, range_mm, self.focus_mm, reference_nm))
 
@@ -112,7 +114,7 @@ class Setup:
         defocus: float,
         noll: tuple[int, ...] | None = None,
     ) -> ExpectedFit:
-        """Return the fit to all photographs of one range and channel; errors of flats are not included.
+        """Return the expected fit of one range and channel, without errors of flats.
 
         Parameters
         ----------
@@ -126,9 +128,10 @@ class Setup:
         return one.scaled(min(1.0, WIDEST_PX / side_px) / sqrt(self.frames))
 
     def told_noll(self, channel: Channel, range_mm: float) -> int:
-        """Return the last mode up to which photographs of one range determine each mode to `TOLD_WAVES`, all of them free.
+        """Return the last mode up to which one range determines each mode to `TOLD_WAVES`, all of them free.
 
-        Modes are counted in the session's groups, from Noll 45 downwards; 0 if not even the plan's modes are determined.
+        Modes join in the session's groups, from Noll 45 downwards; 0 if not even the plan's
+        modes are determined.
         """
         first, usual = self.plan.fit.noll[0], self.plan.fit.noll[-1]
         lasts = [group.last for group in GROUPS.values() if group.last > usual]
@@ -172,7 +175,7 @@ class Setup:
 
 
 def middle_mm(ranges_mm: Sequence[float], lens: ThinLens) -> float:
-    """The range in the middle of the lens's image distances of the nearest and farthest: where one would focus."""
+    """Return the range whose image distance is midway between the nearest and the farthest range's."""
     ends = [lens.image_distance_mm(end(ranges_mm)) for end in (min, max)]
     image = float(np.mean(ends))
     return image * lens.focal_length_mm / (image - lens.focal_length_mm)
@@ -186,7 +189,7 @@ def _waves(noll: tuple[int, ...], defocus: float) -> Floats:
 
 
 def _pose(side_px: float, frame_px: int, target: Target) -> Pose:
-    """The target in the middle of a frame, a little turned and shifted."""
+    """Return a target in the middle of a frame, slightly rotated and shifted."""
     half = np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]]) * side_px / 2
     cos, sin = np.cos(TURN_RAD), np.sin(TURN_RAD)
     turned = half @ np.array([[cos, -sin], [sin, cos]])

@@ -1,4 +1,4 @@
-"""What a plan's owner should know of it, a line each."""
+"""Remarks on a plan for its owner, one line each."""
 
 from __future__ import annotations
 
@@ -36,7 +36,11 @@ def notes_of(
     want_waves: float | None,
     frames: int | None,
 ) -> Iterator[str]:
-    """All notes. channel: of the shortest wavelength; want_waves, frames: a wanted error, and what it takes."""
+    """Yield all remarks.
+
+    channel: of the shortest wavelength; want_waves, frames: a requested error, and the
+    photographs it needs
+    """
     plan = setup.plan
     if session is not None:
         yield from _lens_notes(session, proposal)
@@ -54,7 +58,7 @@ def notes_of(
 
 
 def _lens_notes(session: Outlook, proposal: Proposal) -> Iterator[str]:
-    """What the ranges will hardly determine, and which measurement would."""
+    """Yield remarks on weakly determined quantities of the lens, and on measurements that would help."""
     for key in session.open_numbers():
         name, unit = NUMBERS[key]
         better = {remedy.what: remedy.std[key] for remedy in session.worthwhile(key)}

@@ -1,4 +1,4 @@
-"""What a session will determine of its lens: the session's own estimator, on fits as they are expected."""
+"""Predict a session's errors of its lens by the session's own estimator on expected fits."""
 
 from __future__ import annotations
 
@@ -59,7 +59,14 @@ Errors = dict[str, float]
 
 @dataclass(frozen=True)
 class Remedy:
-    """A further measurement. what: in words; of: key of the number measured, "" for another; std: the session's with it."""
+    """A further measurement.
+
+    Parameters
+    ----------
+    what : the measurement in words
+    of : key of the measured number, "" for any other
+    std : the session's standard error with the measurement
+    """
 
     what: str
     of: str
@@ -68,7 +75,7 @@ class Remedy:
 
 @dataclass(frozen=True)
 class Outlook:
-    """Standard errors that a session will have, those that the plan states, and what would make them smaller."""
+    """Predicted standard errors of a session, the plan's stated errors, and measurements that would help."""
 
     std: Errors
     stated: Errors
@@ -80,7 +87,11 @@ class Outlook:
         return self.std["pupil_magnification"] <= TELLING_STD
 
     def open_numbers(self) -> list[str]:
-        """Keys of what the session will hardly determine: no better than stated, or a magnification of any lens."""
+        """Return the keys of weakly determined quantities.
+
+        Such an error is no smaller than the stated one, or a magnification's covers every
+        lens.
+        """
         hardly = [
             name
             for name, stated in self.stated.items()
@@ -89,7 +100,7 @@ class Outlook:
         return hardly if self.determined else [*hardly, "pupil_magnification"]
 
     def worthwhile(self, name: str) -> list[Remedy]:
-        """Measurements of something else that would leave half of a number's error or less."""
+        """Return measurements of another quantity that would at least halve the error of a number."""
         return [
             one
             for one in self.remedies
@@ -99,14 +110,14 @@ class Outlook:
 
 @dataclass(frozen=True)
 class Proposal:
-    """Ranges that determine the pupil magnification, and a session's standard errors there; empty where none do."""
+    """Ranges that determine the pupil magnification, and a session's errors there; empty if none do."""
 
     ranges_mm: tuple[float, ...] = ()
     std: Errors = field(default_factory=dict)
 
     @property
     def what(self) -> str:
-        """In words."""
+        """The proposal in words."""
         return f"ranges {', '.join(f'{mm:g}' for mm in self.ranges_mm)} mm"
 
 
@@ -142,13 +153,13 @@ MEASUREMENTS: tuple[tuple[str, str, Callable[[Stated], Stated]], ...] = (
 
 
 def outlook(fits: Mapping[Key, Measured], stated: Stated, focus_mm: float) -> Outlook:
-    """Forecast what a session will determine.
+    """Predict what a session will determine.
 
     Parameters
     ----------
-    fits : what the fits will measure; one channel at two ranges or more
-    stated : of lens, target and rail
-    focus_mm : the range that the lens is focused at
+    fits : expected measurements; one channel at two ranges or more
+    stated : numbers of lens, target and rail
+    focus_mm : range of best focus
     """
     remedies = [
         Remedy(what, of, _errors(fits, better(stated), focus_mm))
@@ -164,7 +175,7 @@ def outlook(fits: Mapping[Key, Measured], stated: Stated, focus_mm: float) -> Ou
 
 
 def _errors(fits: Mapping[Key, Measured], stated: Stated, focus_mm: float) -> Errors:
-    """Standard errors of a session whose lens is as stated, its pupils of one size, focused at a range."""
+    """Return a session's standard errors for the stated lens, with pupils of one size, focused at a range."""
     model = _model(fits, stated)
     first = next(iter(fits.values()))
     start = Point(_truth(model, first, focus_mm), np.zeros((model.groups.max() + 1, 0)))
@@ -187,7 +198,7 @@ def _errors(fits: Mapping[Key, Measured], stated: Stated, focus_mm: float) -> Er
 
 
 def _model(fits: Mapping[Key, Measured], stated: Stated) -> LensModel:
-    """The laws of such a session. The target leans alike in all photographs."""
+    """Return the lens model of such a session, with one target tilt for all photographs."""
     readings = [
         Reading(key, key.range_mm, key.range_mm) for key in fits if key.range_mm is not None
     ]
@@ -197,7 +208,7 @@ def _model(fits: Mapping[Key, Measured], stated: Stated) -> LensModel:
 
 
 def _truth(model: LensModel, first: Measured, focus_mm: float) -> Floats:
-    """(columns,) the stated lens, focused at a range, with the modes of a fit."""
+    """Return (columns,) parameters of the stated lens, focused at a range, with the modes of a fit."""
     theta = np.array([column.value for column in model.columns])
     theta[model.index(FOCUS)] = focus_mm
     for j, waves in zip(first.noll, first.waves, strict=True):
@@ -207,7 +218,7 @@ def _truth(model: LensModel, first: Measured, focus_mm: float) -> Floats:
 
 
 def _measurements(model: LensModel, fits: Sequence[Measured], truth: Point) -> Measurements:
-    """What the fits will measure at the truth."""
+    """Return the expected measurements at the true parameters."""
     covariance = np.array([fit.covariance for fit in fits])
     none = np.zeros_like(covariance)
     used = np.ones(len(fits), bool)
@@ -229,8 +240,8 @@ def propose_ranges(
     ----------
     nearest_mm : of the plan's ranges
     channels : of the plan
-    stated : of lens, target and rail
-    sharp, blurred : what a fit measures in focus, and with `STEP_WAVES` of defocus
+    stated : numbers of lens, target and rail
+    sharp, blurred : a fit's expected measurement in focus, and with `STEP_WAVES` of defocus
     """
     lens = ThinLens(stated.focal_length.value, stated.f_number.value)
     closest = CLOSEST * lens.focal_length_mm
@@ -257,7 +268,7 @@ def propose_ranges(
 def _spread_ranges(
     near_mm: float, lens: ThinLens, reference_nm: float
 ) -> tuple[float, ...]:
-    """Three ranges from the nearest on, STEP_WAVES of defocus apart; none where the last would be beyond infinity."""
+    """Return three ranges, STEP_WAVES of defocus apart; none if the last would be beyond infinity."""
     focal = lens.focal_length_mm
     blur_mm = STEP_WAVES * blur_per_wave_um(lens.f_number, reference_nm * 1e-3) * 1e-3
     images = float(lens.image_distance_mm(near_mm)) - lens.f_number * blur_mm * np.arange(3)
@@ -269,7 +280,7 @@ def _spread_ranges(
 
 
 def _at_range(waves: float, sharp: Measured, blurred: Measured) -> Measured:
-    """What a fit of so much defocus measures: in focus, a step beyond it, or as its twin before it."""
+    """Return the expected measurement at a defocus: in focus, a step beyond, or its twin a step before."""
     if abs(waves) < STEP_WAVES / 2:
         return sharp
     return blurred if waves > 0 else blurred.twin()

@@ -23,7 +23,7 @@ HEADINGS = [
 
 
 def range_rows(advice: Advice) -> Rows:
-    """A heading and a row for each range."""
+    """Return a heading and a row for each range."""
     return [HEADINGS, *map(_range_row, advice.ranges)]
 
 
@@ -41,7 +41,7 @@ def _range_row(at: RangeAdvice) -> list[str]:
 
 
 def session_rows(advice: Advice) -> Rows:
-    """What to expect of all ranges together: standard errors, beside those that the plan states."""
+    """Return rows of a session's predicted standard errors beside the plan's stated ones."""
     rows = [
         [
             "whole session",

@@ -1,7 +1,7 @@
-"""What stands between light and counts, kept apart: offset, illumination, pixel response, and pixels not to be used.
+"""Separate the effects between light and counts: offset, illumination, pixel response, unusable pixels.
 
-The offset is subtracted. Illumination (display and vignetting) and pixel response multiply the *model*: dividing them
-out of the data would falsify its noise (thesis §4.5.2).
+The offset is subtracted. Illumination (display and vignetting) and pixel response multiply
+the *model*: dividing them out of the data would falsify the noise (thesis §4.5.2).
 """
 
 from __future__ import annotations
@@ -29,11 +29,12 @@ WHOLE: Cut = (slice(0, None), slice(0, None))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """All that a session's darks and flats show, on the full raw grid of the sensor.
+    """Results of a session's darks and flats on the full raw grid of the sensor.
 
-    offset: counts without light, None = as each file states; illumination: for each range that has flats, NaN where they
-    are unlit; response: relative to neighbours, with its posterior standard deviation (relative too); usable: neither
-    hot nor dead; panel_seen: whether flats show the panel's own pixels, which were taken off.
+    offset: counts without light, None = as each file states; illumination: for each range
+    with flats, NaN where unlit; response: relative to neighbours, with its posterior
+    standard deviation (relative too); usable: neither hot nor dead; panel_seen: whether
+    flats show the panel's own pixels, which were removed.
     """
 
     offset: Floats32 | None
@@ -53,13 +54,14 @@ class Calibration:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChannelData:
-    """One channel of one photograph or of a cut of it, ready for a fit.
+    """One channel of a photograph or of a cut, ready for a fit.
 
-    counts: (rows, cols) with the dark level taken off; mask: usable pixels of this channel; illumination: relative
-    illumination (mean about 1) times pixel response, by which the model is multiplied; relative_std: standard deviation of
-    that factor, relative; falloff: the lens's share of it, 1 where no flats show it. rounding: counts², of the rounding to
-    stored numbers where that is known beside the read noise, as behind a tone curve; else 0. noise: gain and read noise as
-    measured. findings: what was assumed.
+    counts: (rows, cols) less the dark level; mask: usable pixels of this channel;
+    illumination: relative illumination (mean about 1) times pixel response, which
+    multiplies the model; relative_std: standard deviation of this factor, relative;
+    falloff: the lens's share of the factor, 1 without flats. rounding: counts², variance of
+    the rounding to stored numbers where known beside the read noise, as with a tone curve;
+    else 0. noise: gain and read noise as measured. findings: assumptions made.
     """
 
     counts: Floats
@@ -73,10 +75,12 @@ class ChannelData:
 
 
 def calibrate(frames: Iterable[Frame], plan: Plan) -> Calibration:
-    """Masters from the dark (or else bias) and flat frames of a session; what is missing is assumed, with a finding.
+    """Return the masters of a session's dark (or else bias) and flat frames.
 
-    plan: of its sensor and channels. Each photograph is decoded once; those of one range are in memory at a time.
-    Raises RawError for a file that cannot be read, DataError for frames of different sensors.
+    A finding reports each assumption made for missing frames. plan: gives sensor and
+    channels. Each photograph is decoded once; memory holds the frames of one range at a
+    time. Raises RawError for a file that cannot be read, DataError for frames of different
+    sensors.
     """
     names = [channel.name for channel in plan.channel]
     kinds: dict[str, list[Frame]] = {"dark": [], "bias": [], "flat": [], "target": []}
@@ -112,7 +116,7 @@ def calibrate(frames: Iterable[Frame], plan: Plan) -> Calibration:
 
 
 def by_range(frames: Iterable[Frame]) -> dict[float | None, list[Frame]]:
-    """Frames by their range: those without one first, then the nearest."""
+    """Return frames by range: those without a range first, then from the nearest on."""
     groups: dict[float | None, list[Frame]] = {}
     for frame in sorted(
         frames, key=lambda frame: (frame.range_mm is not None, frame.range_mm or 0.0)
@@ -124,11 +128,11 @@ def by_range(frames: Iterable[Frame]) -> dict[float | None, list[Frame]]:
 def channel_data(
     calibration: Calibration, frame: Frame, mosaic: Mosaic, channel: str, cut: Cut = WHOLE
 ) -> ChannelData:
-    """A photograph's channel with everything that belongs to it.
+    """Return a channel of a photograph with its calibration.
 
-    mosaic: the photograph, decoded; cut: only these rows and columns of its pixels, both from an even one on.
-    Raises RawError if it lacks the channel, DataError if it is of another sensor than the calibration frames or has no
-    usable pixel.
+    mosaic: the photograph, decoded; cut: only these rows and columns of its pixels, both
+    starting at an even one. Raises RawError if the photograph lacks the channel, DataError
+    if its sensor differs from the calibration frames' or no pixel is usable.
     """
     _refuse_other_sensor(calibration, frame, mosaic)
     part, where = mosaic.part(channel, cut), mosaic.where(channel, cut)
@@ -183,7 +187,7 @@ def _refuse_other_sensor(calibration: Calibration, frame: Frame, mosaic: Mosaic)
 def _nearest(
     frame: Frame, illumination: Mapping[float | None, Floats32]
 ) -> tuple[float | None, list[Finding]]:
-    """The range whose flats serve a frame, and a finding if that is another range."""
+    """Return the range whose flats serve a frame, and a finding if they are of another range."""
     if frame.range_mm in illumination:
         return frame.range_mm, []
     known = [range_mm for range_mm in illumination if range_mm is not None]

@@ -1,4 +1,4 @@
-"""What a sensor counts without light: the offset of each pixel, and the pixels that are too hot or too noisy."""
+"""Reduce darks: the offset of each pixel, and the pixels that are too hot or too noisy."""
 
 from __future__ import annotations
 
@@ -31,7 +31,10 @@ class Dark:
 
 
 def reduce_darks(stack: Stack, names: Sequence[str]) -> Dark:
-    """The level of each plane, with what single pixels reliably add to it; hot pixels left out. names: of the channels."""
+    """Return the dark level of each plane, single pixels' reliable deviations included, and the hot pixels.
+
+    names: of the channels
+    """
     mean = clipped_mean(stack.counts)
     offset, usable = (
         np.empty(mean.shape, dtype=np.float32),
@@ -63,7 +66,10 @@ def reduce_darks(stack: Stack, names: Sequence[str]) -> Dark:
 
 
 def dark_findings(kinds: Mapping[str, Sequence[Frame]]) -> Iterable[Finding]:
-    """What is assumed of the dark level for want of frames. kinds: the session's frames by kind."""
+    """Return the assumptions about the dark level made for missing frames.
+
+    kinds: the session's frames by kind
+    """
     if not kinds["dark"] and not kinds["bias"]:
         yield found("no-dark-frames")
         return

@@ -1,6 +1,7 @@
-"""What of a flat's light is the lens's: the fall-off, round about the middle of the frame. The rest is the target's own.
+"""Separate the lens's fall-off, symmetric about the middle of the frame, from the target's illumination.
 
-The two act apart, for a target's own light is blurred with it, and a lens's fall-off multiplies what is blurred already.
+The two act differently: the lens blurs the target's light together with its illumination,
+while the fall-off multiplies the blurred image.
 """
 
 from dataclasses import dataclass
@@ -25,9 +26,10 @@ class Falloff:
 
     @classmethod
     def of(cls, illumination: Floats32, shape: tuple[int, int]) -> "Falloff":
-        """Of a frame's relative illumination, NaN where it is unlit, by least squares.
+        """Fit the fall-off to a frame's relative illumination, NaN where unlit, by least squares.
 
-        illumination: spread evenly over the frame, such as (rows, columns), or (rows, 3 columns) of a picture in colours.
+        illumination: evenly spread over the frame, such as (rows, columns), or (rows, 3
+        columns) of a picture in colours
         """
         places = [
             np.unique(np.linspace(0, n - 1, SAMPLES).round().astype(int))
@@ -47,7 +49,7 @@ class Falloff:
         return cls(shape, (float(a), float(b)))
 
     def at(self, cut: Cut) -> Floats:
-        """(rows, columns) relative light, 1 in the middle, of a cut of the frame."""
+        """Return the (rows, columns) relative light of a cut of the frame, 1 in the middle of the frame."""
         rows, columns = (
             np.arange(n, dtype=np.float64)[part]
             for n, part in zip(self.shape, cut, strict=True)
@@ -57,7 +59,7 @@ class Falloff:
 
 
 def _square(shape: tuple[int, int], rows: Floats, columns: Floats) -> Floats:
-    """r^2 of rows and columns of a frame, each by each."""
+    """Return r^2 for all pairs of the rows and columns of a frame."""
     middle = [(n - 1) / 2 for n in shape]
     away = (rows[:, None] - middle[0]) ** 2 + (columns[None, :] - middle[1]) ** 2
     return np.asarray(away / max(sum(m**2 for m in middle), 1.0))

@@ -1,6 +1,7 @@
-"""What flats of the white display show: each range's illumination, and the response of single pixels.
+"""Reduce flats of the white display: each range's illumination, and the response of single pixels.
 
-Illumination is smooth and belongs to a range; response belongs to the sensor and is averaged over all ranges' flats.
+Illumination is smooth and belongs to a range. Response belongs to the sensor and is
+averaged over all ranges' flats.
 """
 
 from __future__ import annotations
@@ -43,12 +44,14 @@ as many."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Flat:
-    """One range's flats.
+    """The flats of one range.
 
-    frames: how many; illumination: (rows, cols), mean 1 in each channel, NaN where unlit; mean: (rows, cols) counts above
-    dark, NaN where saturated; places: the planes of each channel; level: the counts that illumination 1 means in it;
-    scatter: from frame to frame, of each channel. panel: (rows, cols) how much brighter or darker than the mean of its
-    surroundings the panel's own pixels make each pixel, NaN where too dark to be of use; None where they are not seen.
+    frames: their number; illumination: (rows, cols), mean 1 in each channel, NaN where
+    unlit; mean: (rows, cols) counts above dark, NaN where saturated; places: planes of each
+    channel; level: counts at illumination 1 in each channel; scatter: from frame to frame,
+    of each channel. panel: (rows, cols) relative brightness of each pixel against its
+    surroundings that the panel's own pixels cause, NaN where too dark; None if the panel's
+    pixels are not resolved.
     """
 
     frames: int
@@ -70,7 +73,10 @@ class Response:
 
 
 def reduce_flats(stack: Stack, names: Sequence[str], dark: Dark | None) -> Flat:
-    """Smooth illumination, mean 1 in each channel; two greens keep their ratio. names: of the channels."""
+    """Return the smooth illumination, mean 1 in each channel; two greens keep their ratio.
+
+    names: of the channels
+    """
     offset = stack.first.black_map() if dark is None else dark.offset
     mean = clipped_mean(stack.counts) - offset
     good = ~stack.saturated if dark is None else dark.usable & ~stack.saturated
@@ -108,9 +114,10 @@ def reduce_flats(stack: Stack, names: Sequence[str], dark: Dark | None) -> Flat:
 
 
 def _light_and_panel(flat: Floats, good: Bools, full: Bools) -> tuple[Illumination, Floats]:
-    """A plane's smooth light, and the pattern that the panel's own pixels make in it, (rows, cols), mean 0; zero without one.
+    """Return a plane's smooth light, and the pattern (rows, cols) of the panel's own pixels, mean 0.
 
-    flat: (rows, cols) counts; full: saturated pixels, not good.
+    The pattern is zero if there is none. flat: (rows, cols) counts; full: saturated pixels,
+    not good.
     """
     light, pattern, filled = smooth_illumination(flat, good), np.zeros(flat.shape), flat
     for _ in range(PASSES):
@@ -132,7 +139,7 @@ def _light_and_panel(flat: Floats, good: Bools, full: Bools) -> tuple[Illuminati
 
 
 def pixel_response(flats: Sequence[Flat], noise: Mapping[str, NoiseEstimate]) -> Response:
-    """From all ranges' flats, one or more; 1 in channels whose noise is not known."""
+    """Return the pixel response from the flats of all ranges; 1 in channels of unknown noise."""
     shape = flats[0].mean.shape
     relative, std = np.ones(shape, dtype=np.float32), np.zeros(shape, dtype=np.float32)
     dead = np.zeros(shape, dtype=np.bool_)
@@ -155,7 +162,7 @@ def pixel_response(flats: Sequence[Flat], noise: Mapping[str, NoiseEstimate]) ->
 def flat_findings(
     flats: Mapping[float | None, Flat], noise: Mapping[str, NoiseEstimate]
 ) -> Iterable[Finding]:
-    """What is assumed of light and pixels for want of flats, by range."""
+    """Return the assumptions about light and pixels made for missing flats, by range."""
     if not flats:
         yield found("no-flat-frames")
         return
@@ -175,7 +182,7 @@ def flat_findings(
 def _mean_ratio(
     flats: Sequence[Flat], plane: Cut, name: str, noise: NoiseEstimate
 ) -> tuple[Floats, Floats]:
-    """Measured over expected counts of a plane's pixels, averaged over flats, and the inverse of its variance."""
+    """Return measured over expected counts of a plane's pixels, averaged over flats, and its inverse variance."""
     shape = flats[0].mean[plane].shape
     weighted, weights = np.zeros(shape), np.zeros(shape)
     floor = (noise.read_noise or 0.0) ** 2 + ROUNDING_VARIANCE

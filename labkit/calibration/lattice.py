@@ -1,8 +1,8 @@
-"""A pattern that repeats over a flat: the pixels of a panel so close that the camera sees them. It is no illumination.
+"""Find a pattern that repeats over a flat: the resolved pixels of a panel, which are no illumination.
 
-It stands in a few sharp peaks of the spectrum, aliased by the sensor as it may be, with noise and pixel response alike
-between them. Each peak's wave is found by demodulation: amplitude and phase may vary slowly over the frame, as
-perspective and field make them.
+The pattern has a few sharp peaks in the spectrum, possibly aliased by the sensor; noise and
+pixel response lie between them. Demodulation recovers the wave of each peak. Its amplitude
+and phase may vary slowly over the frame with perspective and field.
 """
 
 from __future__ import annotations
@@ -43,9 +43,10 @@ about the same frequencies."""
 
 
 def repeating(relative: Floats, use: Bools) -> Floats | None:
-    """The pattern (rows, cols) that repeats over a plane, mean 0; None where none does.
+    """Return the pattern (rows, cols) that repeats over a plane, mean 0; None if there is none.
 
-    relative: (rows, cols) light less its smooth part, in units of that; use: pixels that may be used, the rest may be anything.
+    relative: (rows, cols) light less its smooth part, in units of the latter; use: usable
+    pixels, the others may hold anything
     """
     pattern, found = np.zeros(relative.shape), False
     for rows, own_rows in _tiles(relative.shape[0]):
@@ -61,7 +62,7 @@ def repeating(relative: Floats, use: Bools) -> Floats | None:
 
 
 def _tiles(size: int) -> list[tuple[slice, slice]]:
-    """Along one axis: tiles, and the part of each that is its own."""
+    """Return overlapping tiles along an axis, and the part of each that no other tile covers."""
     many = max(1, -(-(size - 2 * BORDER_PX) // (TILE_PX - 2 * BORDER_PX)))
     ends = [round(size * k / many) for k in range(many + 1)]
     return [
@@ -71,7 +72,7 @@ def _tiles(size: int) -> list[tuple[slice, slice]]:
 
 
 def _waves(relative: Floats, use: Bools) -> Floats | None:
-    """The pattern of one tile."""
+    """Return the pattern of one tile."""
     knots = [_knots(n) for n in use.shape]
     weight = np.maximum(knots[0][0] @ use @ knots[1][0].T, 1e-3)
     rest, pattern, strongest, frequencies = (
@@ -110,7 +111,7 @@ def _waves(relative: Floats, use: Bools) -> Floats | None:
 
 
 def _knots(size: int) -> tuple[Floats, Floats]:
-    """Along one axis: (knots, size) weights of the mean about each knot, (size, knots) of the line between them."""
+    """Return (knots, size) weights of the mean about each knot, and (size, knots) of linear interpolation."""
     at, pixels = np.linspace(0, size - 1, int(np.ceil(size / KNOT_PX)) + 1), np.arange(size)
     sigma = min(SMOOTH_PX, size / 8)
     near = np.exp(-(((pixels - at[:, None]) / sigma) ** 2) / 2)
@@ -118,7 +119,7 @@ def _knots(size: int) -> tuple[Floats, Floats]:
 
 
 def _peaks(rest: Floats, use: Bools) -> list[Floats]:
-    """Frequencies (2,) of what rises out of the noise in a spectrum, cycles a pixel, the strongest first."""
+    """Return the frequencies (2,) of the peaks above the noise of a spectrum, cycles a pixel, strongest first."""
     window = np.outer(*(np.hanning(n + 2)[1:-1] for n in rest.shape)) * use
     size = tuple(
         scipy.fft.next_fast_len(2 * n) for n in rest.shape
@@ -143,6 +144,9 @@ def _peaks(rest: Floats, use: Bools) -> list[Floats]:
 
 
 def _distance(one: Floats, other: Floats) -> float:
-    """Of two frequencies of real waves that are sampled: they are the same if turned round, and modulo 1."""
+    """Return the distance of two frequencies of sampled real waves.
+
+    Frequencies are equal modulo 1, and with the opposite sign.
+    """
     apart = [np.array(one) - sign * np.array(other) for sign in (1, -1)]
     return float(min(np.hypot(*(a - np.round(a))) for a in apart))

@@ -1,7 +1,8 @@
-"""Master frames: offset, smooth illumination and pixel response, each with what is known of its error.
+"""Make master frames: offset, smooth illumination and pixel response, each with its error.
 
-Plain arrays in, plain arrays out. Everything works on the full raw grid; `planes` are the slices of the colour
-filter's cell (one for mono), because neighbours of one colour lie two pixels apart.
+All functions take and return plain arrays on the full raw grid. `planes` are the slices of
+the colour filter's cell (one for mono), because neighbours of one colour are two pixels
+apart.
 """
 
 from __future__ import annotations
@@ -34,9 +35,9 @@ LIT = 0.25
 
 
 def clipped_mean(stack: Counts) -> Floats:
-    """(rows, cols) mean of (frames, rows, cols), without the values far from each pixel's median.
+    """Return the (rows, cols) mean of (frames, rows, cols), without values far from each pixel's median.
 
-    With fewer than three frames the plain mean.
+    With fewer than three frames the plain mean is returned.
     """
     if len(stack) < 3:
         return np.asarray(stack.mean(axis=0, dtype=np.float64))
@@ -60,10 +61,11 @@ def _slabs(rows: int) -> Iterator[slice]:
 
 
 def shrunk(values: Floats, variance: Floats | float) -> tuple[Floats, Floats]:
-    """Normal values of unknown spread about their mean, measured with known variance: posterior mean and deviation.
+    """Return posterior mean and deviation of normal values with unknown spread, measured with known variance.
 
-    Empirical Bayes: the spread's variance is what the values scatter beyond their measurement error (robustly), the
-    posterior pulls each value towards the common mean by its own unreliability (Efron and Morris, JASA 70, 1975).
+    Empirical Bayes: the spread's variance is the values' robust scatter beyond their
+    measurement error. The posterior pulls each value towards the common mean by its own
+    unreliability (Efron and Morris, JASA 70, 1975).
     """
     error = np.broadcast_to(np.asarray(variance, dtype=np.float64), values.shape)
     # means of whole numbers stand on few steps: a clipped variance does not mind, a median deviation would
@@ -82,7 +84,7 @@ def shrunk(values: Floats, variance: Floats | float) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True, slots=True)
 class Illumination:
-    """Relative illumination of one plane (mean 1 where lit), its level in counts, and where it is lit."""
+    """Relative illumination of one plane (mean 1 where lit), its level in counts, and the lit pixels."""
 
     relative: Floats
     level: float
@@ -92,10 +94,11 @@ class Illumination:
 def smooth_illumination(
     flat: Floats, good: Bools, smooth_px: float = SMOOTH_PX
 ) -> Illumination:
-    """The smooth part of a plane's mean flat.
+    """Return the smooth part of a plane's mean flat.
 
-    flat: (rows, cols) counts with black removed; good: pixels that may be used; smooth_px: of the Gaussian. A robust polynomial
-    of low order takes the fall-off, a wide Gaussian mean what it leaves; pixel response stays out of both, being uncorrelated.
+    A robust polynomial of low order describes the fall-off, a wide Gaussian mean the rest.
+    Pixel response stays out of both, being uncorrelated. flat: (rows, cols) counts with
+    black removed; good: usable pixels; smooth_px: of the Gaussian.
     """
     lit = _lit(flat, good)
     use = good & lit
@@ -115,7 +118,7 @@ def smooth_illumination(
 
 
 def _lit(flat: Floats, good: Bools) -> Bools:
-    """Where the display reaches: all of the frame, or less its dark part and a seam of 5 % beside that."""
+    """Return the pixels lit by the display: all of the frame, or less its dark part and a seam of 5 %."""
     side = max(1, min(flat.shape) // 60)
     coarse = ndimage.uniform_filter(np.where(good, flat, 0.0), side) / np.maximum(
         ndimage.uniform_filter(good.astype(np.float64), side), 1e-3
@@ -131,7 +134,7 @@ def _lit(flat: Floats, good: Bools) -> Bools:
 
 
 def _polynomial(flat: Floats, use: Bools) -> Floats:
-    """Robust least squares of a polynomial of total degree ILLUMINATION_ORDER, on means of small blocks."""
+    """Fit a polynomial of total degree ILLUMINATION_ORDER to means of small blocks by robust least squares."""
     block = max(1, min(flat.shape) // 60)
     rows, cols = (n // block * block for n in flat.shape)
     shape = (rows // block, block, cols // block, block)
@@ -164,7 +167,7 @@ def _polynomial(flat: Floats, use: Bools) -> Floats:
 
 
 def _powers(y: Floats, x: Floats) -> Floats:
-    """(terms, rows, cols) products of Legendre polynomials up to the total degree."""
+    """Return (terms, rows, cols) products of Legendre polynomials up to the total degree."""
     py, px = (np.polynomial.legendre.legvander(u, ILLUMINATION_ORDER).T for u in (y, x))
     degrees = range(ILLUMINATION_ORDER + 1)
     return np.array(
@@ -178,7 +181,7 @@ def _powers(y: Floats, x: Floats) -> Floats:
 
 
 def outliers(values: Floats, among: Bools, least: float = 0.0) -> Bools:
-    """Those `among` whose values lie 8 robust standard deviations, and `least`, from the median of them all."""
+    """Return the pixels `among` that are 8 robust standard deviations, and `least`, from their median."""
     centre = float(np.median(values[among]))
     spread = 1.4826 * float(np.median(np.abs(values[among] - centre)))
     return np.asarray(

@@ -1,8 +1,9 @@
-"""Photon transfer: counts per electron and read noise from what repeated frames do not repeat.
+"""Photon transfer: counts per electron and read noise from differences between repeated frames.
 
-A pixel of mean signal S counts has variance g S + σ² + 1/12: photon noise of gain g (counts per electron), read noise
-σ (counts), and the rounding to whole counts. Differences between frames of the same scene show it without the fixed
-pattern (Janesick, *Photon Transfer*, SPIE 2007; the Σ of thesis (3.5)).
+A pixel of mean signal S counts has variance g S + σ² + 1/12: photon noise of gain g (counts
+per electron), read noise σ (counts), and the rounding to whole counts. Differences between
+frames of the same scene show this variance without the fixed pattern (Janesick, *Photon
+Transfer*, SPIE 2007; the Σ of thesis (3.5)).
 """
 
 from __future__ import annotations
@@ -37,18 +38,24 @@ level of light alone does not separate the two."""
 
 
 def usual_gain(white: float) -> float:
-    """Gain of a usual sensor, counts per electron. white: counts above black at saturation."""
+    """Return the gain of a usual sensor, counts per electron.
+
+    white: counts above black at saturation
+    """
     return white / ELECTRONS_AT_WHITE
 
 
 def usual_read_variance(white: float) -> float:
-    """Variance of a usual sensor's read noise, counts squared, rounding included. white: as of `usual_gain`."""
+    """Return the variance of a usual sensor's read noise, counts squared, rounding included.
+
+    white: as of `usual_gain`
+    """
     return max(1.0, (white / WHITE_PER_READ_NOISE) ** 2)
 
 
 @dataclass(frozen=True, slots=True)
 class Scatter:
-    """How much pixels vary from frame to frame: mean signal and variance of each (m,), and frames minus one."""
+    """Scatter of pixels from frame to frame: mean signal and variance of each (m,), and frames minus one."""
 
     signal: Floats
     variance: Floats
@@ -69,11 +76,12 @@ class NoiseEstimate:
 
 
 def scatter_of(stack: ArrayLike, *, lit: bool) -> Scatter:
-    """Per-pixel mean and variance of at least two frames of the same scene.
+    """Return per-pixel mean and variance of at least two frames of the same scene.
 
-    stack: (frames, m) counts with black removed, usable pixels of one channel. What all pixels of a frame do together
-    is not noise: in lit frames a light that changes its brightness by a few per cent, in dark ones a drift of the
-    offset. Raises ValueError for fewer than two frames.
+    Changes that all pixels of a frame share are not noise: in lit frames the light varies
+    by a few per cent, in dark frames the offset drifts. stack: (frames, m) counts with
+    black removed, usable pixels of one channel. Raises ValueError for fewer than two
+    frames.
     """
     frames = np.asarray(stack, dtype=np.float64)
     if frames.ndim != 2 or len(frames) < 2:
@@ -95,11 +103,11 @@ def scatter_of(stack: ArrayLike, *, lit: bool) -> Scatter:
 def photon_transfer(
     flats: Iterable[Scatter], darks: Iterable[Scatter] = ()
 ) -> NoiseEstimate:
-    """Gain and read noise from flats of one channel (any number of levels) and from darks.
+    """Return gain and read noise from flats of one channel, at any number of levels, and from darks.
 
-    Weighted least squares of variance on signal, each pixel by its own expected scatter, pooled over all groups.
-    Without flats the gain is None; without darks the read noise is what the flats' different levels show of it, None if
-    that is less than three standard errors.
+    Weighted least squares of variance on signal, each pixel by its own expected scatter,
+    pooled over all groups. Without flats the gain is None. Without darks the read noise
+    follows from the flats' different levels, and is None below three standard errors.
     """
     light, dark = [*flats], [*darks]
     groups = light + [_at_zero(group) for group in dark]
@@ -121,7 +129,7 @@ def photon_transfer(
 
 
 def _at_zero(group: Scatter) -> Scatter:
-    """Darks hold no photons: what is left of their signal is offset."""
+    """Return the darks' scatter at zero signal: any mean they have is offset."""
     return Scatter(np.zeros_like(group.signal), group.variance, group.freedom)
 
 
@@ -132,7 +140,7 @@ def _root(floor: float, floor_std: float) -> tuple[float, float]:
 
 
 def _mean_variance(variance: Floats, freedom: Floats) -> tuple[float, float]:
-    """Pooled variance, outliers left out, and its standard error."""
+    """Return the pooled variance without outliers, and its standard error."""
     pooled = max(float(np.median(variance / _median_factor(freedom))), 1e-3)
     limit = _limit(freedom)
     for _ in range(5):
@@ -144,7 +152,7 @@ def _mean_variance(variance: Floats, freedom: Floats) -> tuple[float, float]:
 def _line(
     signal: Floats, variance: Floats, freedom: Floats, *, floor_known: bool
 ) -> tuple[float, float, Floats]:
-    """(slope, floor, covariance) of variance on signal, reweighted until it stands."""
+    """Fit variance on signal, reweighted until convergence; return (slope, floor, covariance)."""
     typical = variance / _median_factor(freedom)
     middle = signal >= np.median(signal)
     slope = max(float(np.median(typical[middle] / np.maximum(signal[middle], 1e-9))), 1e-9)
@@ -166,12 +174,12 @@ def _line(
 
 
 def _median_factor(freedom: Floats) -> Floats:
-    """Median of a sample variance over its mean."""
+    """Return the median of a sample variance over its mean."""
     few, which = np.unique(freedom, return_inverse=True)
     return np.asarray((chdtri(few, 0.5) / few)[which])
 
 
 def _limit(freedom: Floats) -> Floats:
-    """What a sample variance over its mean exceeds with OUTLIER_PROBABILITY."""
+    """Return the ratio of sample variance to mean that is exceeded with OUTLIER_PROBABILITY."""
     few, which = np.unique(freedom, return_inverse=True)
     return np.asarray((chdtri(few, OUTLIER_PROBABILITY) / few)[which])

@@ -1,4 +1,4 @@
-"""Photographs of one kind, read one after another into one stack, and what repeated ones do not repeat."""
+"""Read photographs of one kind into one stack, and measure their scatter from frame to frame."""
 
 from __future__ import annotations
 
@@ -24,8 +24,11 @@ NOISE_PIXELS = 400_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stack:
-    """Frames of one kind: counts (frames, rows, cols), the first one for all that they share, and (rows, cols) the
-    pixels that are saturated in any of them."""
+    """Frames of one kind.
+
+    counts: (frames, rows, cols); first: the first frame, for the properties they share;
+    saturated: (rows, cols) pixels saturated in any frame.
+    """
 
     counts: Counts
     first: Mosaic
@@ -34,7 +37,7 @@ class Stack:
     def scatter(
         self, where: Bools, offset: Floats32 | Floats, *, lit: bool
     ) -> Iterator[Scatter]:
-        """Variance from frame to frame of some of the pixels `where`; nothing from a single frame."""
+        """Yield the scatter from frame to frame of a sample of the pixels `where`; nothing for a single frame."""
         chosen = np.flatnonzero(where)
         if len(self.counts) > 1 and chosen.size:
             chosen = chosen[:: -(-chosen.size // NOISE_PIXELS)]
@@ -50,9 +53,10 @@ class Stack:
 
 
 def read_stack(frames: Sequence[Frame], sensor: Sensor) -> Stack:
-    """One frame or more, each decoded once; beside the stack one photograph is in memory at a time.
+    """Read frames, each decoded once; beside the stack, memory holds one photograph at a time.
 
-    Raises RawError for a file that cannot be read, DataError for frames of different sensors.
+    Raises RawError for a file that cannot be read, DataError for frames of different
+    sensors.
     """
     first = read_raw(frames[0].path, sensor)
     counts = np.empty((len(frames), *first.counts.shape), dtype=np.uint16)
@@ -70,7 +74,7 @@ def read_stack(frames: Sequence[Frame], sensor: Sensor) -> Stack:
 
 
 def saturated(mosaic: Mosaic) -> Bools:
-    """(rows, cols) pixels at the white level, or so near below it that their noise is cut."""
+    """Return the (rows, cols) pixels at the white level, or so near that their noise is clipped."""
     black = mosaic.black_map()
     return np.asarray(
         mosaic.counts >= mosaic.white - SATURATION_MARGIN * (mosaic.white - black)

@@ -1,8 +1,9 @@
-"""A camera's tone curve from one photograph of the stepped wedge that `labkit target serve wedge:size_mm=...` shows.
+"""Measure a camera's tone curve from one photograph of `labkit target serve wedge:size_mm=...`.
 
-The wedge's steps are half-tones of black and white, each of them twice (`targets/wedge.py`): their light is known whatever the
-panel's gamma, once the lens has blurred the dots. The curve is found but for a factor and an added constant, the light of
-the panel's black and the lens's veil, both of which every fit of a photograph has of its own.
+The wedge's steps are half-tones of black and white, each at two places
+(`targets/wedge.py`). Once the lens has blurred the dots, their light is known whatever the
+panel's gamma. A factor and a constant remain unknown, from the panel's black and the
+veiling glare; every fit of a photograph estimates both.
 """
 
 from __future__ import annotations
@@ -49,8 +50,12 @@ ROUNDS = 8
 
 @dataclass(frozen=True, slots=True)
 class Tone:
-    """light: (steps,) from 0 to 1, rising, relative; numbers: (planes, steps) that the camera wrote, shares of full scale;
-    std: (planes, steps) their standard errors. uneven: by how much the wedge's light varied, relative."""
+    """A tone curve.
+
+    light: (steps,) from 0 to 1, rising, relative; numbers: (planes, steps) written by the
+    camera, shares of full scale; std: (planes, steps) their standard errors. uneven:
+    relative variation of the wedge's light.
+    """
 
     light: Floats
     numbers: Floats
@@ -58,7 +63,7 @@ class Tone:
     uneven: float
 
     def to_toml(self) -> str:
-        """As a plan takes it."""
+        """Return the curve as a plan states it."""
         return "\n".join(
             (
                 "[sensor.tone_curve]  # measured from a stepped wedge",
@@ -69,7 +74,7 @@ class Tone:
         )
 
     def as_json(self) -> dict[str, object]:
-        """As the command answers it."""
+        """Return the curve as the command prints it."""
         lists = {"light": self.light, "numbers": self.numbers, "std": self.std}
         return {
             **{name: np.round(values, 6).tolist() for name, values in lists.items()},
@@ -77,7 +82,7 @@ class Tone:
         }
 
     def notes(self) -> Iterator[str]:
-        """What to know of it, a line each."""
+        """Yield remarks on the curve, one line each."""
         if (most := float(self.numbers.max())) < BRIGHT:
             yield (
                 f"numbers above {most:.2f} of full scale were not measured, the curve is extrapolated as a straight line: "
@@ -91,11 +96,12 @@ class Tone:
 
 
 def measure_tone(photograph: Path) -> Tone:
-    """The tone curve of a photograph of the wedge: JPEG, or PNG, TIFF or PGM, grey or in colours.
+    """Return the tone curve of a photograph of the wedge: JPEG, PNG, TIFF or PGM, grey or in colours.
 
-    Errors are those of the numbers: from how well each step's two places agree, light that varies by low orders allowed for.
-    Raises RawError for a raw file or one that is no picture, TargetError where there is no wedge, DataError where its steps
-    are too small, clipped, not blurred into even greys, or do not rise.
+    The errors follow from the agreement between each step's two places, after removing low
+    orders of uneven light. Raises RawError for a raw file or a file that is no picture,
+    TargetError without a wedge, DataError for steps that are too small, clipped, not
+    blurred into even greys, or not rising.
     """
     try:
         container = recognise(photograph)
@@ -140,7 +146,7 @@ def _measured(picture: Picture, wedge: CellTarget) -> Tone:
 
 
 def _places() -> Iterator[tuple[float, float]]:
-    """(y, x) of each step's middle in the wedge, from 0 to 1."""
+    """Yield (y, x) of each step's middle in the wedge, from 0 to 1."""
     rows, cols = PATCHES
     yield from (
         ((row + 0.5) / rows, (col + 0.5) / cols)
@@ -152,7 +158,7 @@ def _places() -> Iterator[tuple[float, float]]:
 def _insides(
     corners: Floats, shape: tuple[int, ...]
 ) -> Iterator[np.ndarray[tuple[int, ...], np.dtype[np.bool_]]]:
-    """For each step the pixels to look at. Raises DataError where they are too few."""
+    """Yield each step's inner pixels. Raises DataError if they are too few."""
     unit = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
     from_wedge = cv2.getPerspectiveTransform(
         unit, np.ascontiguousarray(corners[:, ::-1], dtype=np.float32)
@@ -173,7 +179,10 @@ def _insides(
 
 
 def _refuse_unusable(seen: list[Floats]) -> None:
-    """Raise DataError for steps that are clipped, or whose dots can be seen. seen: (pixels, planes) of each."""
+    """Raise DataError for steps that are clipped, or whose dots are resolved.
+
+    seen: (pixels, planes) of each step
+    """
     clipped = sum(bool((pixels >= 1).mean(axis=0).max() > CLIPPED) for pixels in seen)
     if clipped:
         raise DataError(
@@ -194,10 +203,12 @@ def _refuse_unusable(seen: list[Floats]) -> None:
 def _curve(
     number: Floats, light: Floats, step: np.ndarray[tuple[int, ...], np.dtype[np.intp]]
 ) -> tuple[Floats, Floats, float]:
-    """Numbers at each step and their standard errors, and by how much the light varies. number: (places,) of one colour.
+    """Return numbers at each step, their standard errors, and the variation of the light.
 
-    Light varies by low orders c over the wedge, a lens's fall-off by the fourth among them. Places of one step would show one
-    number but for it: each is moved along the curve to even light, and c is what makes both places of every step agree.
+    The light varies over the wedge by low orders c, such as a lens's fall-off. In even
+    light the two places of a step would show one number. Each place is therefore moved
+    along the curve to even light, with the c that makes the two places of every step agree.
+    number: (places,) of one colour.
     """
     y, x = 2 * np.array(list(_places())).T - 1
     fourth = (x * x + (y * PATCHES[0] / PATCHES[1]) ** 2) ** 2

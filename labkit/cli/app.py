@@ -1,4 +1,4 @@
-"""The command line's groups, its global options, and the arguments that several commands take."""
+"""Groups of the command line, its global options, and arguments that several commands share."""
 
 from __future__ import annotations
 
@@ -70,5 +70,5 @@ def options(
         ),
     ] = False,
 ) -> None:
-    """Options of every command; they may stand after it too."""
+    """Accept the options of every command, which may also follow the command."""
     ctx.obj.debug, ctx.obj.quiet, ctx.obj.json = debug, quiet, json

@@ -168,7 +168,7 @@ def camera_tone(
         ),
     ] = None,
 ) -> None:
-    """Measure a camera's tone curve. From a photograph of labkit target serve wedge:size_mm=100; prints it for the plan."""
+    """Measure a camera's tone curve. From a photograph of the wedge of labkit target serve; prints a table for the plan."""
     a_file(photograph)
     from labkit.calibration.tone_wedge import measure_tone
     from labkit.files import write_new
@@ -343,7 +343,7 @@ def capture(
 def _open_bench(
     console: Console, plan: Plan, simulate: bool, page_address: str | None
 ) -> Iterator[tuple[Devices, Operator]]:
-    """The plan's devices and the operator beside them, with an operator's page where an address for it is given."""
+    """Open the plan's devices and the operator, with an operator's page at an address if one is given."""
     from labkit.devices.context import DeviceContext
     from labkit.devices.operator import Operator
     from labkit.devices.registry import open_devices, open_monitor
@@ -365,7 +365,7 @@ def _open_bench(
 
 @contextmanager
 def _saying_what_is_safe(console: Console, session: Session) -> Iterator[None]:
-    """Where a capture is cut short, it is said that photographs are safe only where they are."""
+    """State which photographs are safe if the capture is interrupted."""
     from labkit.session.verify import is_safe
 
     try:
@@ -378,7 +378,7 @@ def _saying_what_is_safe(console: Console, session: Session) -> Iterator[None]:
 
 
 def _resume_command(ctx: typer.Context) -> str:
-    """What to type to go on with a capture that was interrupted: as it was given, with --resume."""
+    """Return the command that continues an interrupted capture: as typed, with --resume."""
     console: Console = ctx.obj
     given = {
         "resume": True,
@@ -399,7 +399,7 @@ def _resume_command(ctx: typer.Context) -> str:
 
 
 def _report_complete(console: Console, session: Session) -> None:
-    """Raises LabkitError for photographs that are damaged."""
+    """Report a complete session. Raises LabkitError for damaged photographs."""
     from labkit.session.verify import altered, as_error
 
     if damage := altered(session):

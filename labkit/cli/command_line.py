@@ -1,4 +1,4 @@
-"""Runs a command line: exit status and one line for what went wrong."""
+"""Run a command line with an exit status, and one line for each error."""
 
 from __future__ import annotations
 
@@ -39,9 +39,10 @@ def main() -> None:
 
 
 def run(args: Sequence[str], *, leaving: bool = False) -> int:
-    """Run a command line; returns the exit status. --debug, --quiet and --json may stand anywhere before a "--".
+    """Run a command line and return the exit status.
 
-    leaving: the process ends with it, so that after an interrupt further ones change nothing.
+    --debug, --quiet and --json may stand anywhere before a "--". leaving: whether the
+    process ends afterwards, so that repeated interrupts change nothing.
     """
     end = args.index("--") if "--" in args else len(args)
     flags = [arg for arg in args[:end] if arg in GLOBAL_FLAGS]
@@ -74,9 +75,10 @@ def run(args: Sequence[str], *, leaving: bool = False) -> int:
 
 @contextmanager
 def _interrupts(console: Console, leaving: bool) -> Iterator[None]:
-    """SIGTERM and SIGHUP end a command as Ctrl-C does: what was begun is brought to an end, and a line says so.
+    """End a command on SIGTERM and SIGHUP as on Ctrl-C: cleanly, with one line.
 
-    leaving: after an interrupt all of them are ignored for good, so that the process ends by itself, with its status.
+    leaving: after an interrupt ignore all others, so that the process ends with its own
+    status.
     """
 
     def interrupt(number: int, frame: object) -> NoReturn:
@@ -108,7 +110,7 @@ def _interrupts(console: Console, leaving: bool) -> Iterator[None]:
 
 
 def _failed(error: BaseException, console: Console) -> int:
-    """Say what went wrong, in one line; returns the exit status."""
+    """Print an error in one line and return the exit status."""
     if isinstance(error, (KeyboardInterrupt, typer.Abort)):
         return _interrupted(console)
     if isinstance(error, SystemExit):
@@ -133,7 +135,7 @@ def _failed(error: BaseException, console: Console) -> int:
 
 
 def _words(error: BaseException, console: Console) -> tuple[str, int]:
-    """What to say of an error, and the exit status."""
+    """Return the message of an error, and the exit status."""
     if isinstance(error, LabkitError):
         return f"{error}{console.hint}", error.exit_status
     if isinstance(error, OSError):

@@ -1,4 +1,4 @@
-"""What the tab key completes: studies, channels, panels, kinds of target. Nothing heavy is imported for it."""
+"""Complete studies, channels, panels and kinds of target for the tab key, without slow imports."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ import typer
 
 
 def studies(incomplete: str) -> list[str]:
-    """Names of studies."""
+    """Return the names of studies."""
     from labkit.experiments.studies import STUDIES
 
     return _begin(incomplete, STUDIES)
 
 
 def panels(incomplete: str) -> list[str]:
-    """Names of panels that a display may have."""
+    """Return the names of known panels."""
     from labkit.devices.panels import PANELS
 
     return _begin(incomplete, PANELS)
 
 
 def targets(incomplete: str) -> list[str]:
-    """Kinds of target, and plans in the folder."""
+    """Return kinds of target, and plans in the folder."""
     from importlib.metadata import entry_points
 
     kinds = (f"{entry.name}:" for entry in entry_points(group="labkit.targets"))
@@ -32,7 +32,7 @@ def targets(incomplete: str) -> list[str]:
 
 
 def channels(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Channels of the session that was given; the usual ones where there is none to read."""
+    """Return the channels of the session on the command line; the usual ones without a session."""
     session = ctx.params.get("session") or next(
         iter(ctx.args), ""
     )  # a line that is not complete has it left over

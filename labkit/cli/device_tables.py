@@ -1,4 +1,4 @@
-"""The tables that `labkit devices` prints."""
+"""Tables of `labkit devices`."""
 
 from __future__ import annotations
 

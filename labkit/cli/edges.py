@@ -137,7 +137,7 @@ def edges(
 
 
 def _show(console: Console, outcome: EdgesOutcome, scene: Scene, out: Path | None) -> None:
-    """Raises DataError where no edge could be measured."""
+    """Print the measured edges. Raises DataError if no edge could be measured."""
     console.warn(*outcome.warnings)
     measured = bool(outcome.edges) or any(of.responses for of in outcome.rejected)
     if measured:
@@ -157,7 +157,7 @@ def _show(console: Console, outcome: EdgesOutcome, scene: Scene, out: Path | Non
 
 
 def _box(text: str) -> Box:
-    """Raises DataError."""
+    """Parse a box. Raises DataError."""
     if not re.fullmatch(r"\s*-?\d{1,6}(\s*,\s*-?\d{1,6}){3}\s*", text):
         raise DataError(
             f"--box {text}: give R0,C0,R1,C1, whole pixels of the raw, such as 100,200,164,264"
@@ -167,7 +167,7 @@ def _box(text: str) -> Box:
 
 
 def _focus(text: str) -> Uncertain:
-    """Raises DataError."""
+    """Parse a best focus. Raises DataError."""
     from labkit.uncertain import Uncertain
 
     number = r"\d{1,7}(?:\.\d{1,6})?"

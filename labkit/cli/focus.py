@@ -1,4 +1,4 @@
-"""`labkit camera focus`: photographs one after another, and how sharp each is."""
+"""`labkit camera focus`: photograph again and again, with the sharpness of each photograph."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def camera_focus(
 def _set_up(
     alone: Alone, range_mm: float | None, context: DeviceContext, stack: ExitStack
 ) -> Sequence[object]:
-    """Show the plan's target, and move its rail, as far as it has them; what was opened for that."""
+    """Show the plan's target and move its rail, if the plan has them; return the opened devices."""
     from labkit.acquisition.sequence import shown_target
     from labkit.devices.registry import open_rail
 
@@ -118,7 +118,7 @@ def _set_up(
 
 
 def line(readings: Sequence[FocusReading]) -> str:
-    """The last of some readings beside those before it, in a line."""
+    """Return one line on the last reading, compared with the readings before."""
     last = readings[-1]
     words = [f"{last.source} {last.number}"]
     if last.edge_px is not None:
@@ -135,7 +135,7 @@ def line(readings: Sequence[FocusReading]) -> str:
 
 
 def bars(values: Sequence[float]) -> str:
-    """The last values as bars, the higher the larger."""
+    """Return the last values as bars of proportional height."""
     least = min(values)
     span = max(max(values) - least, LEAST_SPAN * least) or 1.0
     shown = deque(values, maxlen=HISTORY)

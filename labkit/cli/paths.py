@@ -1,4 +1,4 @@
-"""Whether files and folders are there: a mistyped path is named before anything that takes time is imported."""
+"""Check that files and folders exist before slow imports: a mistyped path is reported at once."""
 
 from __future__ import annotations
 
@@ -13,39 +13,39 @@ GONE = os.strerror(errno.ENOENT)
 
 
 def a_session(path: Path) -> None:
-    """Raise SessionError for what is no session's folder."""
+    """Raise SessionError for a path that is no session folder."""
     journal_in(path)
 
 
 def a_plan(*paths: Path | None) -> None:
-    """Raise PlanError for a plan that is not there; None was not given."""
+    """Raise PlanError for a missing plan; ignore None."""
     for path in filter(None, paths):
         if not _is_there(path):
             raise PlanError(f"plan {path}: {GONE}")
 
 
 def perhaps_a_plan(given: str) -> None:
-    """Raise PlanError for a plan that is not there; what does not end in .toml is something else."""
+    """Raise PlanError for a missing plan; ignore arguments that do not end in .toml."""
     if given.endswith(".toml"):
         a_plan(Path(given))
 
 
 def a_file(*paths: Path | None) -> None:
-    """Raise InputError for a file that is not there; None was not given."""
+    """Raise InputError for a missing file; ignore None."""
     for path in filter(None, paths):
         if not _is_there(path):
             raise InputError(f"{path}: {GONE}")
 
 
 def a_file_or_plan(*paths: Path) -> None:
-    """Raise InputError for a file that is not there, PlanError for a plan."""
+    """Raise InputError for a missing file, PlanError for a missing plan."""
     for path in paths:
         perhaps_a_plan(str(path))
         a_file(path)
 
 
 def a_file_or_session(*paths: Path | None) -> None:
-    """Raise SessionError for a session that is not there, InputError for a file, whose name has a suffix."""
+    """Raise SessionError for a missing session, InputError for a missing file, whose name has a suffix."""
     for path in filter(None, paths):
         if path.suffix:
             a_file(path)

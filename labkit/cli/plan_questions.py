@@ -95,9 +95,10 @@ RANGES = (1.0, 1.05, 1.1)
 def plan_by_questions(
     ask: Ask, folder: Path, image: Path | None = None
 ) -> tuple[str, tuple[str, ...]]:
-    """The text of a plan, which loads, and what to know of it. folder: where it will lie; image: gives defaults.
+    """Return the text of a valid plan, and remarks on the plan.
 
-    Raises what `ask` raises, RawError for an image that is none.
+    folder: of the future plan; image: gives defaults. Raises the errors of `ask`, and
+    RawError for a file that is no photograph.
     """
     mono = (
         image is None
@@ -122,7 +123,7 @@ def plan_by_questions(
 
 
 class _Answers:
-    """What was answered so far, as tables and as lines. Each answer is checked with all before it."""
+    """The answers so far, as tables and as lines. Each answer is checked together with all before."""
 
     def __init__(self, ask: Ask, folder: Path) -> None:
         self.blocks: list[list[str]] = []
@@ -131,7 +132,7 @@ class _Answers:
         self._folder = folder
 
     def table(self, name: str, rows: Iterator[Row]) -> None:
-        """Ask for a table, row by row: a row may depend on answers to those before it."""
+        """Ask for a table, row by row; a row may depend on earlier answers."""
         plain, block = name.strip("[]"), [name]
         here: dict[str, Any] = {}
         if name.startswith("[["):
@@ -149,7 +150,7 @@ class _Answers:
     def _value(
         self, table: str, here: dict[str, Any], key: str, value: str, *, known: bool
     ) -> Any:
-        """Ask for a value. A known one is the default; any other is an example, which no empty answer takes."""
+        """Ask for a value. A known value is the default; any other is only an example."""
         given = tomllib.loads(f"x = {value}")["x"] if value else ""
         words = WORDS.get(f"{table}.{key}")
         if words is None:
@@ -178,7 +179,7 @@ class _Answers:
         return self._ask(f"{question}, such as {as_typed}", read, "")
 
     def _check(self, table: str, here: dict[str, Any], key: str, value: Any) -> None:
-        """Raise PlanError for an answer that the plan, as far as it is known, would not take."""
+        """Raise PlanError for an answer that the plan so far would reject."""
         if table == "target" and key == "kind" and value not in _kinds():
             raise PlanError(
                 f"target.kind = {shown(value)}: allowed is {', '.join(_kinds())}"
@@ -216,7 +217,7 @@ STAND_INS: Mapping[str, Any] = {
 
 
 def _stand_in(table: str, here: Mapping[str, Any]) -> dict[str, Any]:
-    """What a table lacks until all of it was asked for."""
+    """Return placeholders for the unanswered keys of a table."""
     if table == "target":
         needed = NEEDED.get(str(here.get("kind")), ())
         return {
@@ -235,7 +236,7 @@ def _stand_in(table: str, here: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _of_kind(answers: _Answers, rows: list[Row]) -> Iterator[Row]:
-    """The target's rows: the kind, what that needs, and the rest."""
+    """Yield the target's rows: the kind, the keys of this kind, and the rest."""
     for key, value, why in rows:
         if key != "order":
             yield key, value, why
@@ -246,7 +247,7 @@ def _of_kind(answers: _Answers, rows: list[Row]) -> Iterator[Row]:
 
 
 def _with_ranges(answers: _Answers) -> Iterator[Row]:
-    """The rail's rows, with ranges from which the target fills a good part of a small frame."""
+    """Yield the rail's rows, with ranges at which the target fills a good part of a small frame."""
     lens, target = answers.tables["lens"], answers.tables["target"]
     first = float(
         f"{max(60 * float(target['size_mm']), 2 * float(lens['focal_length_mm'])):.1g}"
@@ -267,7 +268,7 @@ def _shown(answers: _Answers) -> Iterator[Row]:
 
 
 def _notes(plan: Plan) -> Iterator[str]:
-    """What would stand in the way of a capture."""
+    """Yield remarks on obstacles to a capture."""
     try:
         target = open_target(plan.target)
         if plan.display is not None and not plan.display.by_hand:
@@ -299,7 +300,10 @@ def _without_unit(text: str, key: str) -> str:
 
 
 def _parsed(text: str, like: Any) -> Any:
-    """An answer as a value of the kind that its default has. Text that is no number stays text, which its check names."""
+    """Return an answer in the type of its default.
+
+    Text that is no number stays text, for the check to report.
+    """
     if isinstance(like, list):
         return [_number(part) for part in re.split(r"[,;\s]+", text.strip("[] ")) if part]
     return _number(text) if isinstance(like, int | float) else text

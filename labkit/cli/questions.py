@@ -1,4 +1,4 @@
-"""Questions to whoever runs a command: one by one at a terminal, or answered by the lines of an input that is piped in."""
+"""Ask the user questions, one by one at a terminal, or read the answers from piped input."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ def at_terminal() -> bool:
 
 
 def ask(question: str, default: str = "") -> str:
-    """The answer, trimmed, or the default where it is empty; what was typed before the question is dropped.
+    """Return the trimmed answer, or the default for an empty one.
 
-    Raises InputError where the input ends.
+    Characters typed before the question are dropped. Raises InputError at the end of the
+    input.
     """
     terminal = at_terminal()
     if terminal:
@@ -40,9 +41,10 @@ def ask(question: str, default: str = "") -> str:
 
 
 def ask_until(question: str, read: Callable[[str], Value], default: str = "") -> Value:
-    """What `read` makes of the answer; at a terminal the question is put again where that raises InputError.
+    """Return the answer after `read`; at a terminal ask again when `read` raises InputError.
 
-    Raises that error where the answers are piped in: the next line is the answer to the next question.
+    Raises the error if answers are piped in, because the next line answers the next
+    question.
     """
     while True:
         try:

@@ -1,4 +1,4 @@
-"""The command that restores photographs with a session's lens."""
+"""Restore photographs with a session's lens: the command."""
 
 from __future__ import annotations
 
@@ -200,7 +200,7 @@ def _places(
     wanted: Wanted,
     results: Results,
 ) -> list[tuple[Path, float | None]]:
-    """Folders to write to, each with its range."""
+    """Return the output folders, each with its range."""
     if psf is not None:
         return [
             (
@@ -216,7 +216,7 @@ def _places(
 
 
 def _session(folder: Path, own: bool) -> Session | None:
-    """The session in a folder; None where results alone lie there and its photographs are not needed."""
+    """Return the session in a folder; None for a folder of results alone if no photographs are needed."""
     from labkit.files import links_in, refuse_links
     from labkit.session.session import Session
 
@@ -232,7 +232,7 @@ def _session(folder: Path, own: bool) -> Session | None:
 
 
 def _strength(given: str) -> float | Literal["discrepancy", "l-curve"]:
-    """Raises DataError for what is neither a number above 0 nor a way to choose one."""
+    """Parse a strength. Raises DataError unless it is a number above 0 or a way to choose one."""
     if given == "discrepancy":
         return "discrepancy"
     if given == "l-curve":
@@ -247,7 +247,7 @@ def _strength(given: str) -> float | Literal["discrepancy", "l-curve"]:
 
 
 def _area(crop: str | None) -> Area | None:
-    """Raises DataError for what is not four whole numbers."""
+    """Parse an area. Raises DataError unless the text holds four whole numbers."""
     if crop is None:
         return None
     if not re.fullmatch(r"\d{1,6}(,\d{1,6}){3}", crop):

@@ -72,7 +72,7 @@ def import_(
     plan: PlanPath,
     session: SessionPath,
 ) -> None:
-    """Make a session of existing photographs. Each is checked and copied; nothing is made if one cannot be used."""
+    """Make a session of existing photographs. All are checked and copied, or nothing is made."""
     a_file(frames)
     a_plan(plan)
     from labkit.session.import_frames import import_frames
@@ -114,7 +114,7 @@ def plan_(
         ),
     ] = False,
 ) -> None:
-    """Draft a plan from a photograph, or ask. What its file does not state is left to fill in, with an example."""
+    """Draft a plan from a photograph, or ask. Values that its file does not state are left to fill in, with an example."""
     a_file(image)
     from labkit.session.draft_plan import draft_plan, write_draft
 
@@ -133,7 +133,7 @@ def plan_(
 
 
 def _ask_for_plan(console: Console, image: Path | None, out: Path) -> None:
-    """Write a plan by questions, all of it at the end. Raises InputError where there is one already."""
+    """Write a plan by questions, all at the end. Raises InputError if the file exists."""
     from labkit.cli.plan_questions import plan_by_questions
     from labkit.cli.questions import ask_until
     from labkit.files import refuse_taken, write_new
@@ -296,7 +296,7 @@ def fit(
 
 @contextmanager
 def _kept_if_interrupted(console: Console) -> Iterator[None]:
-    """Fits that are done outlive an interrupt, which says so."""
+    """State after an interrupt that completed fits are kept."""
     try:
         yield
     except KeyboardInterrupt:
@@ -307,9 +307,9 @@ def _kept_if_interrupted(console: Console) -> Iterator[None]:
 
 
 def _show(console: Console, results: Results, diagnose: bool) -> None:
-    """What a fit found, and with diagnose what parts of the camera were tried.
+    """Print a fit's results; with diagnose also the tested parts of the camera.
 
-    Raises DataError for what it was to find and could not.
+    Raises DataError for a requested quantity that could not be estimated.
     """
     from labkit.findings import NO_ANSWER
 
@@ -343,7 +343,7 @@ def _show(console: Console, results: Results, diagnose: bool) -> None:
 
 
 def _modes(noll: str | None) -> tuple[int, int] | None:
-    """First and last mode in "4:22". Raises DataError."""
+    """Return the first and last mode of "4:22". Raises DataError."""
     if noll is None:
         return None
     if not re.fullmatch(r"\d{1,4}:\d{1,4}", noll):
@@ -366,7 +366,7 @@ def report(
         ),
     ] = False,
 ) -> None:
-    """Write the report as one HTML page. It needs nothing beside it; figures also lie in the folder."""
+    """Write the report as one HTML page. The page needs no other file; figures also lie in the folder."""
     a_session(session)
     from labkit.report.html import write_report
     from labkit.results import Results

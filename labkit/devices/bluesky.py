@@ -31,22 +31,25 @@ class Step:
 
     @property
     def done(self) -> bool:
-        """Whether it is over, well or not."""
+        """Whether the step has ended, successfully or not."""
         return self._over.is_set()
 
     @property
     def success(self) -> bool:
-        """Whether it is over and went well."""
+        """Whether the step ended successfully."""
         return self.done and self._error is None
 
     def exception(self, timeout: float | None = 0.0) -> BaseException | None:
-        """What went wrong, or None; waits for the end. Raises DeviceTimeoutError if it is not over in time."""
+        """Return the step's error or None, after waiting for its end.
+
+        Raises DeviceTimeoutError if the step does not end in time.
+        """
         if not self._over.wait(timeout):
             raise DeviceTimeoutError(f"still under way after {timeout:g} s")
         return self._error
 
     def add_callback(self, callback: Callable[[Step], None]) -> None:
-        """Have it called with this when it is over; at once if it is."""
+        """Call a function with this step at its end; immediately if the step has ended."""
         with self._lock:
             if not self.done:
                 self._callbacks.append(callback)
@@ -67,7 +70,7 @@ class Step:
 class ScanRail:
     """A homed rail that a plan moves: bluesky's Movable, Stoppable, Locatable, Readable and Configurable.
 
-    settle_s: waited after each move. `position` is where it was last measured to stand, in mm.
+    settle_s: wait after each move. `position` is the last measured position in mm.
     """
 
     parent = None
@@ -90,15 +93,15 @@ class ScanRail:
         self._rail.stop()
 
     def locate(self) -> dict[str, float]:
-        """Where it was sent, and where it stands."""
+        """Return the requested and the measured position."""
         return {"setpoint": self._sent_to_mm, "readback": self.position}
 
     def read(self) -> Reading:
-        """Where it stands."""
+        """Return the measured position."""
         return {self.name: {"value": self.position, "timestamp": self._measured_at}}
 
     def describe(self) -> Reading:
-        """What `read` gives."""
+        """Describe the values of `read`."""
         return {
             self.name: {
                 "source": "labkit rail",
@@ -109,13 +112,13 @@ class ScanRail:
         }
 
     def read_configuration(self) -> Reading:
-        """Its travel."""
+        """Return the travel."""
         travel = self._rail.travel_mm
         value = [travel.low_mm, travel.high_mm]
         return {f"{self.name}_travel": {"value": value, "timestamp": self._measured_at}}
 
     def describe_configuration(self) -> Reading:
-        """What `read_configuration` gives."""
+        """Describe the values of `read_configuration`."""
         return {
             f"{self.name}_travel": {
                 "source": "labkit rail",
@@ -134,7 +137,7 @@ class ScanRail:
 class ScanCamera:
     """A configured camera that a plan triggers: bluesky's Triggerable, Readable and Configurable.
 
-    Photographs go into `folder` as NAME_0000 and so on; numbers that are taken are passed over.
+    Photographs go into `folder` as NAME_0000 and so on; numbers in use are skipped.
     """
 
     parent = None
@@ -153,7 +156,7 @@ class ScanCamera:
         return Step(self._expose, f"{self.name} exposing")
 
     def read(self) -> Reading:
-        """The file of the last photograph, and its exposure time."""
+        """Return the file of the last photograph, and its exposure time."""
         values = {
             "file": str(self._frame.path) if self._frame else "",
             "exposure_s": _exposure_s(self._frame),
@@ -164,7 +167,7 @@ class ScanCamera:
         }
 
     def describe(self) -> Reading:
-        """What `read` gives."""
+        """Describe the values of `read`."""
         source = f"labkit {self._info.driver}"
         return {
             f"{self.name}_file": {"source": source, "dtype": "string", "shape": []},
@@ -177,12 +180,12 @@ class ScanCamera:
         }
 
     def read_configuration(self) -> Reading:
-        """Its model and serial number."""
+        """Return the model and the serial number."""
         value = f"{self._info.model} {self._info.serial}"
         return {f"{self.name}_model": {"value": value, "timestamp": self._taken_at}}
 
     def describe_configuration(self) -> Reading:
-        """What `read_configuration` gives."""
+        """Describe the values of `read_configuration`."""
         return {
             f"{self.name}_model": {
                 "source": f"labkit {self._info.driver}",

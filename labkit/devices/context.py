@@ -1,4 +1,4 @@
-"""What the caller provides to devices that are opened together, and the bench that they make."""
+"""The caller's services for devices that open together, and the resulting bench."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from labkit.devices.shared import SharedParts
 
 
 class Glass:
-    """What is on a display now: whoever shows it says so, and whoever looks is called with it."""
+    """The picture on a display now: displays report it, and listeners receive it."""
 
     def __init__(self) -> None:
         self._see: Callable[[Picture], None] = lambda picture: None
@@ -24,18 +24,23 @@ class Glass:
         self._see = see
 
     def shows(self, picture: Picture) -> None:
-        """It is on the glass, as the display has confirmed."""
+        """Report a picture that the display has confirmed."""
         self._see(picture)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DeviceContext:
-    """What the caller provides to devices that are opened together. Opening or closing a device changes none of it.
+    """The caller's services for devices that open together; no device changes them.
 
-    shared: where devices that depend on each other find their common part; operator: answers questions; requests: what
-    a person picked on a page, such as a picture by name; observers: the caller's own, notified of a capture;
-    show_link: shows a person a page to open (what it is, its URL); warn: shows a person one line about a delay; glass: what a
-    display shows, for a simulated camera before it.
+    Parameters
+    ----------
+    shared : parts that several devices have in common
+    operator : answers questions
+    requests : choices made by a person on a page, such as a picture by name
+    observers : the caller's own, notified of a capture
+    show_link : shows a person a page to open (description, URL)
+    warn : shows a person one line about a delay
+    glass : the picture on a display, for a simulated camera in front
     """
 
     shared: SharedParts = field(default_factory=SharedParts)
@@ -49,7 +54,7 @@ class DeviceContext:
 
 @dataclass(frozen=True, slots=True)
 class Devices:
-    """A bench, ready: one camera, one rail, one display, how to wait (for seconds) beside them, and its observers."""
+    """An open bench: camera, rail, display, a function that waits for seconds, and observers."""
 
     camera: Camera
     rail: Rail

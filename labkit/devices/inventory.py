@@ -1,4 +1,4 @@
-"""What is plugged in, which program holds it, what may not be opened, which drivers are installed: `labkit devices`."""
+"""List connected devices, programs that hold them, missing permissions and drivers: `labkit devices`."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ RULES_FILE = "/etc/udev/rules.d/70-labkit.rules"
 
 @dataclass(frozen=True, slots=True)
 class UsbDevice:
-    """A device on USB; `where` is bus and number, as in gphoto2:usb:001,004; holders: programs that have it open."""
+    """A device on USB; `where` is bus and number, as in gphoto2:usb:001,004; holders: programs that have the device open."""
 
     where: str
     vendor_product: str
@@ -54,7 +54,7 @@ class SerialPort:
 
 @dataclass(frozen=True, slots=True)
 class FoundCamera:
-    """A camera as its driver sees it, and the address that opens it."""
+    """A camera found by a driver, and the address that opens the camera."""
 
     address: str
     model: str
@@ -62,7 +62,7 @@ class FoundCamera:
 
 @dataclass(frozen=True, slots=True)
 class FoundRail:
-    """A rail's controller that answered at a serial port, and the address that opens it."""
+    """A rail's controller that answered at a serial port, and the address that opens the rail."""
 
     address: str
     model: str
@@ -70,7 +70,10 @@ class FoundRail:
 
 @dataclass(frozen=True, slots=True)
 class OpenPage:
-    """A page that is served now. address: that a plan takes for a display, empty for the operator's page; text: its state."""
+    """A page that is served now.
+
+    address: for a plan's display, empty for the operator's page; text: state of the page.
+    """
 
     address: str
     url: str
@@ -79,8 +82,11 @@ class OpenPage:
 
 @dataclass(frozen=True, slots=True)
 class Connected:
-    """What is connected; usb, cameras, rails: None where it was not looked at, and `notes` say why; drivers: names of those
-    installed for each of `GROUPS`; pages: those that are served now."""
+    """Connected devices.
+
+    usb, cameras, rails: None if not searched, with the reason in `notes`; drivers:
+    installed names for each of `GROUPS`; pages: served now.
+    """
 
     cameras: tuple[FoundCamera, ...] | None
     usb: tuple[UsbDevice, ...] | None
@@ -92,10 +98,10 @@ class Connected:
 
 
 def list_connected(probe: bool = False) -> Connected:
-    """List cameras, USB devices, serial ports, pages and entry points. `notes` says what could not be looked at.
+    """List cameras, USB devices, serial ports, pages and entry points; `notes` name what was not searched.
 
-    probe: ask at each serial port on USB that no program holds whether a rail is there. Nothing moves, but to open its port
-    restarts the controller of some, which then has to be homed.
+    probe: ask at each free serial port on USB whether a rail is there. Nothing moves, but
+    opening a port restarts some controllers, which then need homing.
     """
     cameras, notes = _cameras()
     devices: tuple[UsbDevice, ...] | None = None
@@ -123,7 +129,7 @@ def list_connected(probe: bool = False) -> Connected:
 
 
 def udev_rules(connected: Connected) -> str:
-    """Linux's rules that let the user at this machine open these cameras and USB serial ports, and keep others off."""
+    """Return udev rules that let the user at this machine, and nobody else, open the cameras and USB serial ports."""
     lines = [
         f"# labkit devices --udev | sudo tee {RULES_FILE}",
         "# sudo udevadm control --reload && sudo udevadm trigger, then plug the devices in again",
@@ -166,14 +172,14 @@ def udev_rules(connected: Connected) -> str:
 
 
 def printable(name: str) -> str:
-    """A name that a device gives itself, fit for a terminal and for a comment."""
+    """Return a device's own name, safe for a terminal and for a comment."""
     return "".join(letter if letter.isprintable() else "?" for letter in name)
 
 
 def holders(paths: Iterable[str], proc: Path = PROC) -> dict[str, tuple[str, ...]]:
-    """Programs, as "name (process id)", that have each of these files open, this process aside.
+    """Return the programs, as "name (process id)", that have each file open, without this process.
 
-    Those of other users are listed for root only; without Linux's /proc there are none.
+    Only root sees the programs of other users; without Linux's /proc the result is empty.
     """
     names_by_path: dict[str, list[str]] = {path: [] for path in paths}
     for folder in proc.glob("[0-9]*"):
@@ -190,7 +196,7 @@ def holders(paths: Iterable[str], proc: Path = PROC) -> dict[str, tuple[str, ...
 
 
 def _hindrances(where: str, permitted: bool, names: tuple[str, ...]) -> tuple[str, ...]:
-    """What keeps us from opening a device, in words."""
+    """Return the reasons why this process cannot open a device."""
     notes: tuple[str, ...] = ()
     if not permitted:
         notes += (
@@ -207,7 +213,7 @@ def _hindrances(where: str, permitted: bool, names: tuple[str, ...]) -> tuple[st
 
 
 def _cameras() -> tuple[tuple[FoundCamera, ...] | None, tuple[str, ...]]:
-    """Those that drivers see, None if no driver could look; and notes of those that could not."""
+    """Return the cameras that drivers find, None if no driver could search, and notes on failed searches."""
     found: tuple[FoundCamera, ...] | None = None
     notes: tuple[str, ...] = ()
     for name, find in finders().items():
@@ -222,7 +228,7 @@ def _cameras() -> tuple[tuple[FoundCamera, ...] | None, tuple[str, ...]]:
 
 
 def _rails(ports: Iterable[SerialPort]) -> tuple[tuple[FoundRail, ...], tuple[str, ...]]:
-    """Those that answer at a port on USB that is free; and notes of ports that could not be asked."""
+    """Return the rails that answer at free USB ports, and notes on ports that could not be asked."""
     found, notes = list[FoundRail](), list[str]()
     for port in ports:
         if not port.vendor_product or port.holders or not port.permitted:
@@ -287,12 +293,12 @@ def _serial_ports() -> Iterator[SerialPort]:
 
 
 def _may_open(path: str) -> bool:
-    """Whether this user may read and write a device; one whose file is not to be seen counts as if."""
+    """Whether this user may read and write a device; an invisible file counts as allowed."""
     return not Path(path).exists() or os.access(path, os.R_OK | os.W_OK)
 
 
 def _name(device: usb.core.Device) -> str:
-    """Maker and product, as far as this user may read them."""
+    """Return maker and product, as far as this user may read them."""
     try:
         return printable(
             " ".join(str(word) for word in (device.manufacturer, device.product) if word)

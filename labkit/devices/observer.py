@@ -1,4 +1,4 @@
-"""Observers of a capture: notified of what happens, and able to hold it or to stop it between steps."""
+"""Observers of a capture, which are notified of events and can hold or stop the capture between steps."""
 
 from __future__ import annotations
 
@@ -12,10 +12,13 @@ from labkit.types import FrameKind
 
 
 class Observer(Protocol):
-    """Notified from the capture's own thread: must return soon, and raises nothing but what `may_go_on` may."""
+    """An observer, called from the capture's own thread.
+
+    Calls must return soon, and raise no error except as `may_go_on` states.
+    """
 
     def noted(self, event: str, **fields: Any) -> None:
-        """Something happened: the journal's events, and `doing` (what) as each step begins."""
+        """Receive an event of the journal, or `doing` (what) at the start of each step."""
         ...
 
     def took(
@@ -27,40 +30,40 @@ class Observer(Protocol):
         done: int,
         total: int,
     ) -> None:
-        """A photograph is safe in the session: done of total."""
+        """Receive a photograph after its commit to the session: done of total."""
         ...
 
     def may_go_on(self) -> None:
-        """Called before each step: returns at once, or once a person lets it; KeyboardInterrupt to stop as by Ctrl-C."""
+        """Return before a step, at once or when a person allows; raise KeyboardInterrupt to stop the capture."""
         ...
 
 
 class Monitor(Observer, AnswerPage, Protocol):
-    """An operator's page: it shows a capture, and the operator's questions may be answered on it."""
+    """An operator's page: shows a capture, and takes answers to the operator's questions."""
 
 
 @runtime_checkable
 class Viewer(Protocol):
-    """An observer that also shows photographs that do not become frames: a preflight's, and those to focus by."""
+    """An observer that also shows photographs that do not become frames: in preflight and focusing."""
 
     def saw(self, look: Look) -> None:
-        """A photograph was taken and looked at."""
+        """Receive a judged photograph."""
         ...
 
 
 @runtime_checkable
 class Holding(Protocol):
-    """An observer that can say beforehand whether `may_go_on` would hold the capture."""
+    """An observer that can predict whether `may_go_on` will hold the capture."""
 
     @property
     def holds(self) -> bool:
-        """Whether it would."""
+        """Whether `may_go_on` would hold the capture now."""
         ...
 
 
 @runtime_checkable
 class Observed(Protocol):
-    """A device that brings observers of its own, as a web display brings its server's monitor."""
+    """A device with observers of its own, such as a web display with its server's monitor."""
 
     @property
     def observers(self) -> Sequence[Observer]:

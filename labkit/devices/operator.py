@@ -25,7 +25,10 @@ Wants = Literal["number", "done"]
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """number: counts up, so that an answer that comes late is not taken for one to the next question."""
+    """A question to the operator.
+
+    number: counts up, so that a late answer does not count for the next question.
+    """
 
     number: int
     text: str
@@ -37,18 +40,18 @@ class AnswerPage(Protocol):
     """A page on which the operator may answer."""
 
     def wake(self) -> None:
-        """A question has been opened or closed."""
+        """Receive notice that a question was opened or closed."""
         ...
 
     def refuse_abort(self) -> None:
-        """Called while a question waits: raises KeyboardInterrupt if the operator wants to stop instead."""
+        """Raise KeyboardInterrupt if the operator wants to stop; called while a question waits."""
         ...
 
 
 class Operator:
-    """The person at the bench. One question at a time, put by the capture's thread; any thread may answer.
+    """The person at the bench. The capture's thread asks one question at a time; any thread may answer.
 
-    still: a context in which the terminal shows nothing else, so that one can type.
+    still: a context that keeps the terminal free for typing.
     """
 
     def __init__(
@@ -68,13 +71,14 @@ class Operator:
 
     @property
     def question(self) -> Question | None:
-        """The one that waits for its answer."""
+        """The waiting question, if any."""
         return self._question
 
     def ask(self, text: str, wants: Wants = "number") -> str:
-        """Put a question, such as "Set the rail to 150 mm and type what its scale says"; the answer, trimmed.
+        """Ask a question, such as "Set the rail to 150 mm and type what its scale says"; return the answer, trimmed.
 
-        Raises DeviceError with nobody to ask, DeviceTimeoutError after an hour, KeyboardInterrupt from a page that aborts.
+        Raises DeviceError if nobody can answer, DeviceTimeoutError after an hour,
+        KeyboardInterrupt if a page aborts.
         """
         if not self.present:
             raise DeviceError(
@@ -95,7 +99,7 @@ class Operator:
             self._notify()
 
     def answer(self, number: int, text: str) -> bool:
-        """Answer the question of that number; whether it was still open, and not answered by anyone else."""
+        """Answer the question of a number; return whether the answer was accepted as the first."""
         with self._changed:
             accepted = (
                 self._question is not None
@@ -109,7 +113,7 @@ class Operator:
 
     @contextmanager
     def reached_by(self, page: AnswerPage) -> Iterator[None]:
-        """Within it questions may be answered on that page too. Contexts of one page may be nested."""
+        """Accept answers on a page too until the end of the block. Contexts of one page may be nested."""
         self._pages.append(page)
         try:
             yield
@@ -161,7 +165,7 @@ def _terminal() -> TextIO | None:
 
 
 def forget_typed(terminal: TextIO) -> None:
-    """What was typed before a question is no answer to it."""
+    """Drop characters typed before a question."""
     import termios
 
     with suppress(termios.error):
@@ -169,7 +173,7 @@ def forget_typed(terminal: TextIO) -> None:
 
 
 def _line(terminal: TextIO) -> str | None:
-    """What was typed, with its line's end; "" from a terminal that is closed, None if nothing comes for a moment."""
+    """Return a typed line with its end; "" from a closed terminal, None if nothing comes for a moment."""
     try:
         return terminal.readline() if select.select([terminal], [], [], POLL_S)[0] else None
     except (OSError, ValueError):

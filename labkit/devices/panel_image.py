@@ -24,9 +24,10 @@ class PanelPicture:
 
 
 def panel_picture(target: Target, panel: PanelInfo) -> PanelPicture:
-    """The target on the panel's pixels, as near to its nominal size as whole pixels a cell allow.
+    """Return the target on the panel's pixels, as near to its nominal size as whole pixels a cell allow.
 
-    Raises TargetError if no such size is near, if the panel is too small, or if a radiance is above white.
+    Raises TargetError if no such size is near, if the panel is too small, or if a radiance
+    is above white.
     """
     cells = target.cells.shape if isinstance(target, CellTarget) else None
     rows, cols = (
@@ -57,7 +58,7 @@ def panel_picture(target: Target, panel: PanelInfo) -> PanelPicture:
 
 
 def whole_pixels(side_mm: float, cells: int, pitch_mm: float) -> int:
-    """Pixels along a side: a whole number for each cell. Raises TargetError where the side is no such number, about."""
+    """Return the pixels along a side, a whole number for each cell. Raises TargetError if no such number is near."""
     pixels = cells * max(1, round(side_mm / cells / pitch_mm))
     if abs(pixels * pitch_mm / side_mm - 1) > SIZE_TOLERANCE:
         raise TargetError(

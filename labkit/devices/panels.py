@@ -1,4 +1,4 @@
-"""Panels by their makers' data sheets, and the panel that a plan describes."""
+"""Panels by their makers' data sheets, and the panel of a plan."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PANELS = {
 
 
 def panel_info(settings: DisplaySettings) -> PanelInfo:
-    """The panel that a plan's [display] table describes. Raises PlanError for a name that is not known."""
+    """Return the panel of a plan's [display] table. Raises PlanError for an unknown name."""
     if settings.pixels is not None and settings.pixel_pitch_mm is not None:
         return PanelInfo(settings.pixels, settings.pixel_pitch_mm)
     if settings.panel not in PANELS:
@@ -35,14 +35,14 @@ def panel_info(settings: DisplaySettings) -> PanelInfo:
 
 
 def plan_panel(plan: Plan) -> PanelInfo | None:
-    """The panel that a plan's target is shown on; None without one, or on paper. Raises PlanError."""
+    """Return the panel that shows a plan's target; None without a panel, or on paper. Raises PlanError."""
     return (
         None if plan.display is None or plan.display.by_hand else panel_info(plan.display)
     )
 
 
 def paper_panel(target: Target) -> PanelInfo:
-    """A sheet of paper, three times as large as the target in its middle, as pixels that are fine beside its cells."""
+    """Return a sheet of paper, three times as large as the target, as pixels finer than the target's cells."""
     cells = target.cells.shape[0] if isinstance(target, CellTarget) else 1
     rows = cells * math.ceil(PAPER_PIXELS / cells)
     pitch_mm = target.size_mm[0] / rows
@@ -55,9 +55,9 @@ SAME_PITCH = 0.005
 
 
 def panel_pitch_mm(plan: Plan) -> float | None:
-    """Of the panel's pixels that a plan wants drawn, as [target.pixels] or else [display] states it; None where none are.
+    """Return the pitch of the panel pixels that a plan models, from [target.pixels] or [display]; else None.
 
-    Raises PlanError where neither states it, or they contradict each other.
+    Raises PlanError if neither table states the pitch, or if the two contradict each other.
     """
     pixels, panel = plan.target.pixels, plan_panel(plan)
     shown = None if panel is None else panel.pitch_mm

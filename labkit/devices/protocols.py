@@ -1,8 +1,9 @@
-"""What a camera, a rail and a display can do, as the rest of labkit sees them.
+"""Protocols of a camera, a rail and a display, as the rest of labkit uses them.
 
-Drivers keep these protocols without importing anything else of labkit but its errors. All calls are synchronous, every
-wait in them has a time limit, and each device is a context manager that closes itself. They raise DeviceError
-(CameraError, RailError, RailLimitError, DisplayError, DeviceTimeoutError).
+Drivers implement these protocols and import only labkit's errors besides. All calls are
+synchronous, every wait in them has a time limit, and each device is a context manager that
+closes itself. They raise DeviceError (CameraError, RailError, RailLimitError, DisplayError,
+DeviceTimeoutError).
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ Picture = Literal["white", "black"] | NDArray[np.uint8]
 
 @dataclass(frozen=True, slots=True)
 class CameraInfo:
-    """A camera's model, serial number and driver, as it reports them."""
+    """A camera's model, serial number and driver, as the camera reports them."""
 
     model: str
     serial: str
@@ -33,7 +34,7 @@ class CameraInfo:
 
 @dataclass(frozen=True, slots=True)
 class ExposureSettings:
-    """How to expose: shutter time and sensitivity."""
+    """An exposure: shutter time and sensitivity."""
 
     exposure_s: float
     iso: int
@@ -45,7 +46,7 @@ class ExposureSettings:
 
 @dataclass(frozen=True, slots=True)
 class RawFrame:
-    """A raw file as it came from the camera: its path, how it was exposed, what else the camera reported (JSON)."""
+    """A raw file from the camera: its path, its exposure, and other values the camera reported (JSON)."""
 
     path: Path
     exposure_s: float
@@ -55,7 +56,7 @@ class RawFrame:
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """Something that a camera lets be set, or only read: its value now, and the values it takes if they are listed."""
+    """A camera's setting, writable or not: its value now, and the allowed values if they are listed."""
 
     name: str
     label: str
@@ -66,7 +67,7 @@ class Setting:
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """A device's own check before a capture: what stands in the way, and what only a person can check."""
+    """A device's own check before a capture: obstacles, and remarks that only a person can check."""
 
     problems: tuple[str, ...] = ()
     by_hand: tuple[str, ...] = ()
@@ -105,13 +106,13 @@ class PanelInfo:
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """A display's confirmation that a picture is on the glass: (height, width) of its lit part in panel pixels."""
+    """A display's confirmation of a picture: (height, width) of its lit part in panel pixels."""
 
     pixels: tuple[int, int]
 
 
 class ClosesItself(ABC):
-    """For drivers to inherit: the context manager that every device is."""
+    """Base of drivers: the context manager that every device is."""
 
     @abstractmethod
     def close(self) -> None:
@@ -133,7 +134,7 @@ class Camera(AbstractContextManager["Camera"], Protocol):
     """A camera that delivers raw files."""
 
     def identify(self) -> CameraInfo:
-        """Its model and serial number; finds it again, if it had dropped off its cable."""
+        """Return model and serial number, after reconnecting if the connection was lost."""
         ...
 
     def configure(self, settings: ExposureSettings) -> None:
@@ -141,7 +142,7 @@ class Camera(AbstractContextManager["Camera"], Protocol):
         ...
 
     def expose(self, path: Path) -> RawFrame:
-        """Expose once and write the raw file as it came, whole or not at all, to a path that does not exist yet."""
+        """Expose once and write the raw file unchanged, whole or not at all, to a path that does not exist yet."""
         ...
 
     def close(self) -> None:
@@ -151,28 +152,28 @@ class Camera(AbstractContextManager["Camera"], Protocol):
 
 @runtime_checkable
 class Candid(Protocol):
-    """A device that gets over trouble by itself, and reports it."""
+    """A device that recovers from faults by itself, and reports them."""
 
     def overcome(self) -> tuple[str, ...]:
-        """What it was since this was asked last, in words."""
+        """Describe the faults recovered from since the last call."""
         ...
 
 
 @runtime_checkable
 class Previewing(Protocol):
-    """A camera with a live view that wears no shutter."""
+    """A camera with a live view, which does not wear the shutter."""
 
     def preview(self, path: Path) -> Path | None:
-        """Write what it sees now, a picture that labkit reads, to `path` with a suffix; None where it has no live view."""
+        """Write the present view, a picture that labkit reads, to `path` with a suffix; None without live view."""
         ...
 
 
 @runtime_checkable
 class Coverable(Protocol):
-    """A camera that can shut out the light by itself. All others need a hand that puts the cap on."""
+    """A camera that can shut out the light by itself. Other cameras need a hand that puts the cap on."""
 
     def cover(self, closed: bool) -> None:
-        """Close or open what keeps the light out."""
+        """Shut the light out, or let it in."""
         ...
 
 
@@ -181,16 +182,16 @@ class Adjustable(Protocol):
     """A camera that can list its settings."""
 
     def settings(self) -> tuple[Setting, ...]:
-        """Everything that it offers."""
+        """Return all settings."""
         ...
 
 
 @runtime_checkable
 class Checkable(Protocol):
-    """A device that can check whether it is fit for a capture."""
+    """A device that can check its state before a capture."""
 
     def check(self, frames: int) -> Check:
-        """Whether that many more photographs can be expected of it."""
+        """Check whether the device can take `frames` more photographs."""
         ...
 
 
@@ -199,7 +200,7 @@ class Rail(AbstractContextManager["Rail"], Protocol):
 
     @property
     def travel_mm(self) -> Travel:
-        """Where it can go."""
+        """Positions that the rail can reach."""
         ...
 
     def home(self) -> None:
@@ -207,7 +208,7 @@ class Rail(AbstractContextManager["Rail"], Protocol):
         ...
 
     def move_to(self, position_mm: float) -> float:
-        """Go there, and return the measured position in mm once it stands."""
+        """Move to a position, and return the measured position in mm when the rail stands still."""
         ...
 
     def stop(self) -> None:
@@ -224,12 +225,12 @@ class Steadfast(Protocol):
     """A rail that can detect whether it was moved."""
 
     def check_still(self) -> None:
-        """Raise RailError unless it stands where the last move left it; DeviceTimeoutError if it does not answer."""
+        """Raise RailError if the rail moved since the last move ended; DeviceTimeoutError without an answer."""
         ...
 
 
 class Controller(Protocol):
-    """A simulated motion controller that a rail's driver talks to, as to a real one, over a serial port."""
+    """A simulated motion controller at a serial port, driven by a rail's driver like a real controller."""
 
     @property
     def path(self) -> str:
@@ -237,13 +238,13 @@ class Controller(Protocol):
         ...
 
     def close(self) -> None:
-        """End it."""
+        """End the controller."""
         ...
 
 
 @runtime_checkable
 class Timekeeper(Protocol):
-    """A device with a time of its own, as simulated ones have: whoever waits beside it lets that time pass."""
+    """A device with simulated time: a wait beside the device lets this time pass."""
 
     def wait(self, seconds: float) -> None:
         """Let time pass."""
@@ -259,7 +260,7 @@ class Display(AbstractContextManager["Display"], Protocol):
         ...
 
     def show(self, picture: Picture) -> Shown:
-        """Show it, and return once it is known to be on the glass."""
+        """Show a picture, and return when the display has confirmed it."""
         ...
 
     def close(self) -> None:
@@ -269,7 +270,7 @@ class Display(AbstractContextManager["Display"], Protocol):
 
 @runtime_checkable
 class OnPaper(Protocol):
-    """A display without pixels: what it shows has the size that the plan states."""
+    """A display without pixels: the plan states the size of its target."""
 
     on_paper: bool
 
@@ -279,13 +280,13 @@ class SeesDisplay(Protocol):
     """A simulated camera, before which another driver's display shows its pictures."""
 
     def see(self, picture: Picture) -> None:
-        """The display beside it shows this now."""
+        """Receive the picture that the display now shows."""
         ...
 
 
 @runtime_checkable
 class Attentive(Protocol):
-    """A display that can lose its picture while a photograph is taken, and notices."""
+    """A display that can lose its picture during an exposure, and detects the loss."""
 
     def undisturbed(self) -> bool:
         """Whether the picture was on the glass all the time since `show` returned, by the display's own report."""

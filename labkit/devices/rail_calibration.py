@@ -1,4 +1,4 @@
-"""Which way a rail runs, and the range when it stands at 0, from a few ranges measured by hand."""
+"""Determine a rail's direction and range zero from a few ranges measured by hand."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ SHARES = (0.1, 0.5, 0.9)
 class RailZero:
     """range = range_at_zero_mm + direction * position, with the standard error of the zero and each reading's misfit.
 
-    std_mm is the scatter's, None for fewer than three readings; `scale` is how far the rail moved for each mm that it reports.
+    std_mm follows from the scatter, None for fewer than three readings; `scale` is the
+    rail's true movement for each reported mm.
     """
 
     direction: Literal[1, -1]
@@ -37,7 +38,7 @@ class RailZero:
 
 
 def stops(travel: Travel, asked_mm: Sequence[float]) -> tuple[float, ...]:
-    """Positions to measure at. Raises PlanError where there are fewer than two, or one outside the travel."""
+    """Return positions to measure at. Raises PlanError for fewer than two, or outside the travel."""
     if asked_mm:
         if len(set(asked_mm)) < 2:
             raise PlanError(f"--at {asked_mm[0]:g}: give two positions or more, far apart")
@@ -58,7 +59,7 @@ def stops(travel: Travel, asked_mm: Sequence[float]) -> tuple[float, ...]:
 
 
 def read_range(text: str, focal_length_mm: float) -> float:
-    """A range in mm as a person types it. Raises DataError for what is none, or is not beyond the focal length."""
+    """Parse a range in mm. Raises DataError for text that is no number, or a range within the focal length."""
     try:
         range_mm = float(text.strip().removesuffix("mm").strip().replace(",", "."))
     except ValueError:
@@ -84,10 +85,10 @@ def measure(
     ask: Callable[[str], float],
     say: Callable[[str], None] | None,
 ) -> tuple[list[float], list[float]]:
-    """(positions, ranges) in mm, measured at places by whoever answers `ask`.
+    """Return (positions, ranges) in mm, measured at given places by the person who answers `ask`.
 
-    say: called with what misfits before that is asked for again, until all agree or the answer stays; None to ask once.
-    Raises what the rail raises, and what `ask` raises.
+    say: called with each misfit, whose readings are then repeated until they agree or are
+    confirmed; None to ask once. Raises the errors of the rail and of `ask`.
     """
     positions = [math.nan] * len(places)
     ranges = list(positions)
@@ -116,7 +117,7 @@ def measure(
 def misfitting(
     positions_mm: Sequence[float], ranges_mm: Sequence[float]
 ) -> tuple[int, ...]:
-    """Which readings to take again: the one without which the others agree, or all where there is not just one such."""
+    """Return the readings to repeat: a single outlier among agreeing ones, or all."""
     every = range(len(positions_mm))
     if _agree(positions_mm, ranges_mm):
         return ()
@@ -138,10 +139,10 @@ def _agree(positions_mm: Sequence[float], ranges_mm: Sequence[float]) -> bool:
 
 
 def find_zero(positions_mm: Sequence[float], ranges_mm: Sequence[float]) -> RailZero:
-    """Direction and zero from (n,) rail positions and (n,) ranges measured there, in mm.
+    """Return direction and zero from (n,) rail positions and (n,) ranges measured there, in mm.
 
-    Raises DataError for fewer than two places, for a rail that moves otherwise than it reports by more than a tape errs, and
-    for a reading that misfits by as much.
+    Raises DataError for fewer than two places, for a rail whose scale is wrong by more than
+    a tape's error, and for a reading that misfits by as much.
     """
     at, ranges = np.asarray(positions_mm, dtype=float), np.asarray(ranges_mm, dtype=float)
     span_mm = float(np.ptp(at)) if at.size else 0.0

@@ -1,11 +1,13 @@
-"""Devices by address: what stands before the colon is the driver's name, an entry point.
+"""Open devices by address: the text before the colon is the driver's name, an entry point.
 
-Groups `labkit.cameras`, `labkit.rails`, `labkit.displays`, `labkit.monitors` and `labkit.controllers`; each entry is a
-callable (address, plan, context) -> device. What they receive is theirs to use and not to change. A callable of group
-`labkit.finders`, by the name of its driver, lists what that sees: [(address, model), ...]; it raises DeviceError. One of
-`labkit.probes` says what answers at a serial port, by its path: a name or None; it moves nothing, and raises DeviceError.
-One of `labkit.pages` lists pages that are served now: [(address for a plan or "", URL, what it says), ...].
-A lab adds its own device by an entry point of a package of its own.
+The groups are `labkit.cameras`, `labkit.rails`, `labkit.displays`, `labkit.monitors` and
+`labkit.controllers`; each entry is a callable (address, plan, context) -> device. Drivers
+use their arguments without changing them. A callable of group `labkit.finders`, by the name
+of its driver, lists the devices it finds: [(address, model), ...]; it raises DeviceError. A
+callable of `labkit.probes` names the controller at a serial port, given its path: a name or
+None; nothing moves, and it raises DeviceError. A callable of `labkit.pages` lists pages
+that are served now: [(address for a plan or "", URL, state), ...]. A lab adds a device by
+an entry point of its own package.
 """
 
 from __future__ import annotations
@@ -44,49 +46,49 @@ FINDERS, PROBES, PAGES = "labkit.finders", "labkit.probes", "labkit.pages"
 
 
 def installed(device: str) -> tuple[str, ...]:
-    """Names of the drivers installed for one of `GROUPS`."""
+    """Return the names of the drivers installed for one of `GROUPS`."""
     return tuple(sorted(entry_points(group=GROUPS[device]).names))
 
 
 def finders() -> dict[str, Callable[[], Sequence[tuple[str, str]]]]:
-    """What lists the devices that drivers see, by the driver's name."""
+    """Return the functions that list connected devices, by the driver's name."""
     return {entry.name: entry.load() for entry in entry_points(group=FINDERS)}
 
 
 def probes() -> dict[str, Callable[[str], str | None]]:
-    """What asks at a serial port whether a rail of a driver is there, by the driver's name."""
+    """Return the functions that ask a serial port for a driver's rail, by the driver's name."""
     return {entry.name: entry.load() for entry in entry_points(group=PROBES)}
 
 
 def page_finders() -> dict[str, Callable[[], Sequence[tuple[str, str, str]]]]:
-    """What lists the pages that are served now, by the driver's name."""
+    """Return the functions that list served pages, by the driver's name."""
     return {entry.name: entry.load() for entry in entry_points(group=PAGES)}
 
 
 def open_camera(address: str, plan: Plan, context: DeviceContext) -> Camera:
-    """The camera at an address such as gphoto2:usb:001,004. Raises PlanError, or what the driver raises."""
+    """Open the camera at an address such as gphoto2:usb:001,004. Raises PlanError and the driver's errors."""
     camera: Camera = _open("camera", address, plan, context)
     return camera
 
 
 def open_rail(address: str, plan: Plan, context: DeviceContext) -> Rail:
-    """The rail at an address such as grbl:/dev/ttyUSB0. Raises PlanError, or what the driver raises."""
+    """Open the rail at an address such as grbl:/dev/ttyUSB0. Raises PlanError and the driver's errors."""
     rail: Rail = _open("rail", address, plan, context)
     return rail
 
 
 def open_display(address: str, plan: Plan, context: DeviceContext) -> Display:
-    """The display at an address such as web://0.0.0.0:8642. Raises PlanError, or what the driver raises."""
+    """Open the display at an address such as web://0.0.0.0:8642. Raises PlanError and the driver's errors."""
     display: Display = _open("display", address, plan, context)
     return display
 
 
 @contextmanager
 def open_monitor(address: str, plan: Plan, context: DeviceContext) -> Iterator[Monitor]:
-    """An operator's page at an address such as web://0.0.0.0:8642, on which the context's operator can answer.
+    """Open an operator's page at an address such as web://0.0.0.0:8642, which takes the operator's answers.
 
-    To have a capture shown on it, open the devices with dataclasses.replace(context, observers=(page,)).
-    Raises PlanError, or what the driver raises.
+    To show a capture on the page, open the devices with dataclasses.replace(context,
+    observers=(page,)). Raises PlanError and the driver's errors.
     """
     opened: AbstractContextManager[Monitor] = _open("monitor", address, plan, context)
     with opened as page, context.operator.reached_by(page):
@@ -94,7 +96,10 @@ def open_monitor(address: str, plan: Plan, context: DeviceContext) -> Iterator[M
 
 
 def open_controller(address: str, plan: Plan, context: DeviceContext) -> Controller:
-    """The simulated controller behind a rail at an address such as grbl:simulated. Raises PlanError, or what it raises."""
+    """Open the simulated controller of a rail at an address such as grbl:simulated.
+
+    Raises PlanError and the controller's errors.
+    """
     controller: Controller = _open("controller", address, plan, context)
     return controller
 
@@ -103,11 +108,23 @@ def open_controller(address: str, plan: Plan, context: DeviceContext) -> Control
 def open_devices(
     plan: Plan, simulated: str | None = None, context: DeviceContext | None = None
 ) -> Iterator[Devices]:
-    """All three devices of a plan, opened together and closed together.
+    """Open all three devices of a plan together until the end of the block.
 
-    simulated: an address such as "simulated:seed=3" that takes the place of all three; context: what the caller provides
-    to them. Pages that a device serves can answer the operator's questions meanwhile. Without [display] the target is on paper.
-    Raises PlanError if the plan lacks a table that capture needs.
+    Pages that a device serves also take answers to the operator's questions. Without
+    [display] the target is on paper.
+
+    Parameters
+    ----------
+    plan : with [camera] and [rail]
+    simulated : an address such as "simulated:seed=3" in place of all three
+    context : the caller's services for the devices
+
+    Raises
+    ------
+    PlanError
+        the plan lacks a table that a capture needs
+    DeviceError
+        a device cannot be opened
 
     >>> with labkit.open_devices(plan) as bench:
     ...     bench.rail.home()
@@ -139,7 +156,7 @@ def open_devices(
 
 
 def observers_of(context: DeviceContext, devices: Iterable[object]) -> tuple[Observer, ...]:
-    """The caller's observers and those that devices bring with them, such as a web display's monitor; each once."""
+    """Return the caller's observers and the devices' own, such as a web display's monitor, each once."""
     brought = [
         observer
         for device in devices

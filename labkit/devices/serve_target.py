@@ -34,9 +34,10 @@ def serve_target(
     context: DeviceContext,
     going: Callable[[], bool] = lambda: True,
 ) -> None:
-    """Show the target on every display, then whatever of CHOICES comes by context.requests, while `going`.
+    """Show the target on every display, then each of CHOICES that arrives by context.requests, while `going`.
 
-    A display that is not right is waited for, without end. Raises TargetError for a panel that it does not fit.
+    A display that is not ready is waited for, without end. Raises TargetError for a panel
+    too small for the target.
     """
     pictures = {
         name: [_picture(name, target, display) for display in displays] for name in CHOICES
@@ -65,9 +66,9 @@ def serve_target(
 
 
 def panel_plans(spec: str, panels: Sequence[str], listen: str) -> list[tuple[str, Plan]]:
-    """(address, plan) of each display: the named panels on HOST:PORT, or the display of the plan file `spec`.
+    """Return (address, plan) of each display: the named panels on HOST:PORT, or the display of the plan file `spec`.
 
-    Of these plans only [display] is there. Raises PlanError.
+    These plans hold [display] only. Raises PlanError.
     """
     if not panels and spec.endswith(".toml"):
         settings = Plan.load(Path(spec)).display
@@ -115,7 +116,7 @@ def _keep_showing(
     context: DeviceContext,
     going: Callable[[], bool],
 ) -> None:
-    """Show the latest of the queue's pictures, again until it is shown or there is a later one."""
+    """Show the queue's latest picture, again and again until success or a later picture."""
     wanted: Picture | None = None
     while going():
         try:

@@ -1,4 +1,4 @@
-"""What devices of one bench have in common, such as a web server or a simulated world, found by its key."""
+"""Parts that several devices of one bench share, such as a web server or a simulated world, by key."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Part = TypeVar("Part")
 
 @dataclass(frozen=True, slots=True)
 class Lease(Generic[Part]):
-    """A shared part for as long as it is needed. close: give it back; again does nothing."""
+    """A shared part for as long as its user needs the part. close: give it back; again does nothing."""
 
     part: Part
     close: Callable[[], None]
@@ -26,9 +26,9 @@ class _Shared:
 
 
 class SharedParts:
-    """Parts by key, usually an address. Each is made for its first user and ended when the last has given it back.
+    """Parts by key, usually an address; the first user makes each part and the last ends it.
 
-    given: parts that the caller made and keeps; these are never ended.
+    given: parts that the caller made and keeps, which are never ended.
     """
 
     def __init__(self, given: Mapping[str, Any] | None = None) -> None:
@@ -42,7 +42,7 @@ class SharedParts:
         make: Callable[[], Part],
         end: Callable[[Part], None] = lambda part: None,
     ) -> Lease[Part]:
-        """The part of that key, made by `make` if there is none; `end` is called with it after its last user."""
+        """Return the part of a key, made by `make` if there is none; `end` is called with the part after its last user."""
         with self._lock:
             if key in self._given:
                 return Lease(self._given[key], lambda: None)
@@ -56,7 +56,7 @@ class SharedParts:
             return Lease(shared.part, lambda: self._release(key, held))
 
     def items(self) -> tuple[tuple[str, Any], ...]:
-        """(key, part) of everything that is there now."""
+        """Return (key, part) of all present parts."""
         with self._lock:
             return (
                 *self._given.items(),
@@ -64,7 +64,7 @@ class SharedParts:
             )
 
     def values(self) -> tuple[Any, ...]:
-        """Everything that is there now."""
+        """Return all present parts."""
         return tuple(part for _, part in self.items())
 
     def _release(self, key: str, held: list[_Shared]) -> None:

@@ -19,7 +19,7 @@ TICKS_MM = ((10, 40), (5, 26), (1, 14))
 
 
 def pattern(name: str, panel: PanelInfo) -> Grey:
-    """One of PATTERNS, (height, width) of the panel. Raises ValueError for another name."""
+    """Return one of PATTERNS, (height, width) of the panel. Raises ValueError for another name."""
     match name:
         case "white":
             return np.full(panel.pixels, 255, dtype=np.uint8)
@@ -38,7 +38,7 @@ def pattern(name: str, panel: PanelInfo) -> Grey:
 
 
 def _focus(panel: PanelInfo) -> Grey:
-    """A star of black and white sectors, and patches of lines 1 to 8 pixels wide, upright and lying, round it."""
+    """Return a star of black and white sectors, surrounded by patches of upright and lying lines 1 to 8 pixels wide."""
     rows, cols = panel.pixels
     y, x = (
         np.mgrid[:rows, :cols] - np.array([(rows - 1) / 2, (cols - 1) / 2])[:, None, None]
@@ -62,9 +62,10 @@ def _focus(panel: PanelInfo) -> Grey:
 
 
 def _alignment(panel: PanelInfo) -> Grey:
-    """The outermost pixels lit, a cross with millimetre ticks through the middle, ArUco marks 0 to 3 in the corners.
+    """Return lit outermost pixels, a cross with millimetre ticks in the middle, and ArUco marks 0 to 3 in the corners.
 
-    Marks of OpenCV's DICT_4X4_50, in the order top left, top right, bottom right, bottom left.
+    The marks are of OpenCV's DICT_4X4_50, in the order top left, top right, bottom right,
+    bottom left.
     """
     rows, cols = panel.pixels
     picture = np.zeros(panel.pixels, dtype=np.uint8)

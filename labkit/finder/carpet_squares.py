@@ -1,4 +1,4 @@
-"""The nested squares of a carpet: where they are in the target, and what looks like them in a picture."""
+"""Find the nested squares of a carpet in a target, and quadrilaterals that resemble them in an image."""
 
 from __future__ import annotations
 
@@ -25,10 +25,11 @@ SEARCH_SIDE = 1200
 
 
 def central_square(target: Target) -> float | None:
-    """Side of a white square at the target's centre as a fraction of the target's, where that alone shows the pose.
+    """Return the relative side of a white square at the target's centre that determines the pose; else None.
 
-    It does if the target looks the same after a quarter turn and in a mirror, has a black rim around the square,
-    and no other white area is as large: a Sierpinski carpet. None for any other target.
+    The square determines the pose if the target is unchanged by a quarter turn and in a
+    mirror, has a black rim around the square, and has no other white area as large: a
+    Sierpinski carpet.
     """
     if not isinstance(target, CellTarget) or target.size_mm[0] != target.size_mm[1]:
         return None
@@ -50,9 +51,9 @@ def central_square(target: Target) -> float | None:
 
 
 def square_hypotheses(image: Singles, side_fraction: float) -> Iterator[Floats]:
-    """Corners of targets, each from one quadrilateral that could be the image of the central square; largest first.
+    """Yield (4, 2) target corners (row, col), each from a possible image of the central square, largest first.
 
-    image: (rows, cols), about 0..1. Yields (4, 2) corners (row, col), the order of least rotation.
+    image: (rows, cols), about 0..1. The corners have the order of least rotation.
     """
     factor = max(1, max(image.shape) // SEARCH_SIDE)
     image = binned(image, factor)
@@ -91,7 +92,9 @@ def _thresholded(image: Singles) -> Iterator[NDArray[np.uint8]]:
 
 
 def _quadrilateral(contour: NDArray[np.int32]) -> Floats | None:
-    """(4, 2) corners (x, y), clockwise from the upper left, if the contour is a convex quadrilateral; sub-pixel."""
+    """Return (4, 2) sub-pixel corners (x, y), clockwise from the upper left, of a convex quadrilateral; else
+    None.
+    """
     length = cv2.arcLength(contour, True)
     if length < 4 * LEAST_SIDE_PX:
         return None
@@ -108,7 +111,7 @@ def _quadrilateral(contour: NDArray[np.int32]) -> Floats | None:
 
 
 def _fitted_sides(points: Floats, corners: Floats) -> Floats:
-    """Corners where straight lines through the middle parts of the four sides meet."""
+    """Return the intersections of straight lines through the middle parts of the four sides."""
     lines = []
     for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         along = (points - start) @ (end - start) / np.sum((end - start) ** 2)
@@ -133,7 +136,7 @@ def _fitted_sides(points: Floats, corners: Floats) -> Floats:
 
 
 def _least_rotation(corners: Floats) -> Floats:
-    """Clockwise on the screen (x right, y down), the first side pointing as nearly right as any."""
+    """Return corners clockwise on the screen (x right, y down), the first side nearest to pointing right."""
     if _cross(corners[1] - corners[0], corners[2] - corners[1]) < 0:
         corners = corners[::-1]
     sides = np.roll(corners, -1, axis=0) - corners
@@ -143,7 +146,7 @@ def _least_rotation(corners: Floats) -> Floats:
 
 
 def _cross(a: Floats, b: Floats) -> Floats:
-    """Third component of the vector product of (..., 2) vectors."""
+    """Return the third component of the vector product of (..., 2) vectors."""
     return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 
 

@@ -1,4 +1,4 @@
-"""The part of a photograph that shows the target, and the pixels in it that see nothing else."""
+"""Select the part of a photograph with the target, and the pixels that see nothing else."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ INSET_PX = 4
 
 
 def cut_around(corners: Sequence[Floats], shape: tuple[int, ...]) -> Cut:
-    """Rows and columns around the target in all frames, beginning at even ones."""
+    """Return rows and columns around the target in all frames, starting at even ones."""
     every = np.concatenate(list(corners))
     size = np.ptp(every, axis=0).max()
     margin = max(MARGIN_PX, MARGIN * size)
@@ -36,7 +36,7 @@ def cut_around(corners: Sequence[Floats], shape: tuple[int, ...]) -> Cut:
 
 
 def sees_target_only(pose: Pose, shape: tuple[int, ...]) -> Bools:
-    """Pixels that see nothing but the target."""
+    """Return the pixels that see nothing but the target."""
     corners = pose.corners_px()
     polygon = np.zeros(shape, np.uint8)
     cv2.fillConvexPoly(polygon, np.round(corners[:, ::-1]).astype(np.int32), 1)

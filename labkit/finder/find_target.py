@@ -1,7 +1,8 @@
-"""Where the target is in a picture, without anybody's help: the start of every fit (thesis §2.4.2).
+"""Find the target in an image without help: the start of every fit (thesis §2.4.2).
 
-Hypotheses come from a carpet's nested squares, or from correlation over scale and rotation; each is refined by
-registration with the rendered target, and believed only if the picture then agrees with it everywhere.
+Hypotheses come from a carpet's nested squares, or from correlation over scale and rotation.
+Registration with the rendered target refines each; a hypothesis is accepted only if the
+image agrees with the target everywhere.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ and stretched to black and white its fading corners look like a small carpet far
 
 
 def margin_px(corners: Floats, shape: tuple[int, ...]) -> float:
-    """How far a target's corners (4, 2) stay from the frame's edge; negative where they reach out of it."""
+    """Return the distance of a target's corners (4, 2) from the frame's edge; negative outside."""
     last = np.array(shape) - 0.5
     return -max(float(np.max(-0.5 - corners)), float(np.max(corners - last)))
 
@@ -63,14 +64,28 @@ def margin_px(corners: Floats, shape: tuple[int, ...]) -> float:
 def find_target(
     image: ArrayLike, target: Target, *, mm_per_pixel: float | None = None
 ) -> Floats:
-    """The target's four corners in a picture, to about half a pixel.
+    """Return the target's four corners in an image, to about half a pixel.
 
-    image: (rows, cols) grey, linear or nearly so, any scale and offset; NaN where there is no value. A mosaic goes
-    through `grey_image` first. mm_per_pixel: the target's millimetres that a pixel spans, within 15 %; a carpet is
-    found without it, others sooner with it. Returns (4, 2) corners (row, col), pixel centres at integers, in the order
-    of the target's own (0, 0), (0, w), (h, w), (h, 0). Where several poses look the same (a carpet has eight), the one
-    that turns it least. Raises TargetError if the target is not in the frame, or lies outside it by more than 5 % of its
-    side.
+    If several poses look the same (a carpet has eight), the pose of least rotation is
+    returned.
+
+    Parameters
+    ----------
+    image : (rows, cols) grey, linear or nearly so, any scale and offset; NaN where there is
+        no value; `grey_image` makes it from a mosaic
+    target : the target
+    mm_per_pixel : millimetres on the target for each pixel, within 15 %; not needed for a
+        carpet, faster for other targets
+
+    Returns
+    -------
+    (4, 2) corners (row, col), pixel centres at integers, in the order of the target's own
+    (0, 0), (0, w), (h, w), (h, 0)
+
+    Raises
+    ------
+    TargetError
+        the target is not in the frame, or outside by more than 5 % of its side
     """
     picture = _normalised(_picture("image", image))
     agreements: list[Agreement] = []
@@ -102,12 +117,13 @@ def find_target(
 
 
 def grey_image(counts: ArrayLike, pattern: Sequence[str]) -> Floats:
-    """A grey picture, about 0..1, of a mosaic, in the mosaic's pixels.
+    """Return a grey image, about 0..1, of a mosaic, in the mosaic's pixels.
 
-    counts: (rows, cols), black removed; pattern: the colour filter's cell, such as ("RG", "GB"), or ("M",). Each plane
-    of the cell is scaled to its own range; the binomial filter over neighbours then removes what is left of the mosaic,
-    and shifts nothing. A picture in colours, ("RGB",) with counts (rows, 3 cols), becomes the mean of each pixel's three.
-    Raises TargetError for a picture that is nearly even.
+    Each plane of the cell is scaled to its own range. The binomial filter over neighbours
+    then removes the rest of the mosaic without a shift. A picture in colours, ("RGB",) with
+    counts (rows, 3 cols), becomes the mean of each pixel's three. counts: (rows, cols),
+    black removed; pattern: the colour filter's cell, such as ("RG", "GB"), or ("M",).
+    Raises TargetError for a nearly even image.
     """
     mosaic = _picture("counts", counts)
     height, width = len(pattern), len(pattern[0])
@@ -140,7 +156,7 @@ def grey_image(counts: ArrayLike, pattern: Sequence[str]) -> Floats:
 
 
 def _picture(name: str, value: ArrayLike) -> Floats:
-    """As float64 with its NaN, which stand where there is no value."""
+    """Return an image as float64, with NaN where there is no value."""
     real_array(
         name,
         np.nan_to_num(value) if np.asarray(value).dtype.kind == "f" else value,
@@ -151,7 +167,10 @@ def _picture(name: str, value: ArrayLike) -> Floats:
 
 
 def _normalised(image: Floats) -> Singles:
-    """Black about 0, white about 1, hot pixels cut off. Raises TargetError for a picture without contrast or pixels."""
+    """Return an image with black about 0, white about 1 and hot pixels clipped.
+
+    Raises TargetError for an image without contrast or pixels.
+    """
     if image.ndim != 2 or min(image.shape) < 8 or not np.isfinite(image).any():
         raise TargetError(
             f"no target found in the frame: it has no pixels to look at (shape {image.shape})"
@@ -170,7 +189,7 @@ def _normalised(image: Floats) -> Singles:
 def _hypotheses(
     picture: Singles, target: Target, mm_per_pixel: float | None
 ) -> Iterator[Floats]:
-    """Starts for the registration: squares first, for a target that has them, then the sweep."""
+    """Yield starts for the registration: from squares first, if the target has them, then from the sweep."""
     starts: Iterator[Floats] = iter(())
     fraction = central_square(target)
     if fraction is not None:
@@ -223,7 +242,7 @@ def _right_scale(
 
 
 def _checked(picture: Singles, target: Target, corners: Floats) -> Floats:
-    """The corners, if they are the whole target's and inside the frame, or nearly."""
+    """Return the corners if they belong to the whole target and are nearly inside the frame."""
     beyond = -margin_px(corners, picture.shape)
     if beyond > MOST_OUTSIDE * np.ptp(corners, axis=0).max():
         raise TargetError(

@@ -1,4 +1,4 @@
-"""A photograph as a small picture to look at: brightened as a screen needs, what is full in red, the target's outline."""
+"""Make a small preview of a photograph: bright enough for a screen, clipped areas red, the target outlined."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ RED, CYAN, BLACK = (40, 40, 230), (255, 220, 40), (0, 0, 0)
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """A photograph that is shown and is no frame of a session: one of a preflight, or to focus by.
+    """A judged photograph that is no frame of a session: from a preflight or for focusing.
 
-    corners_px: (4, 2) of the target found in it (row, col), None where none was; edge_px: pixels over which its sharpest edges
-    rise, None for one that is to be even; note: what to say of it.
+    corners_px: (4, 2) of the target (row, col), None if not found; edge_px: rise of the
+    sharpest edges in pixels, None for an even image; note: remark on the photograph.
     """
 
     name: str
@@ -34,7 +34,7 @@ class Look:
 
 
 def jpeg(mosaic: Mosaic, corners_px: Floats | None = None) -> bytes:
-    """A JPEG at most 900 pixels wide; every patch with a clipped pixel is red; with the outline of a target."""
+    """Return a JPEG at most 900 pixels wide; patches with a clipped pixel are red, a target is outlined."""
     level, full = _cells(mosaic)
     scale = min(1.0, PREVIEW_PX / level.shape[1])
     size = max(1, round(level.shape[1] * scale)), max(1, round(level.shape[0] * scale))
@@ -63,7 +63,7 @@ def _outline(picture: NDArray[np.uint8], corners: Floats) -> None:
 
 
 def _cells(mosaic: Mosaic) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """(rows/2, cols/2) light, 0 black to 1 white, and shares that are full, each 2×2 pixels in one."""
+    """Return (rows/2, cols/2) light, 0 black to 1 white, and the saturated share, of 2×2 pixels each."""
     light = (mosaic.counts - np.float32(mosaic.black.mean())) / np.float32(
         mosaic.white - mosaic.black.mean()
     )

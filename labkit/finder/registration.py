@@ -32,7 +32,7 @@ LIGHT_BLUR = 0.8
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """Normalised correlation of the rendered target with the picture, over all of it and in each of 3×3 parts."""
+    """Normalised correlation of the rendered target with the image, over the whole and in each of 3×3 parts."""
 
     whole: float
     parts: tuple[float, ...]
@@ -48,9 +48,10 @@ class Agreement:
 
 @dataclass(frozen=True, slots=True)
 class _Template:
-    """The target rendered on a regular grid, and the part of it that is compared; corners (4, 2) in that part's pixels.
+    """The target rendered on a regular grid, and the compared part; corners (4, 2) in pixels of this part.
 
-    The part holds some of the surround where that is known, and keeps off the target's rim where it is not.
+    The part contains some of the surround if its radiance is known; otherwise it excludes
+    the target's rim.
     """
 
     sharp: Singles
@@ -66,10 +67,10 @@ class _Template:
 
 
 def register(image: Singles, target: Target, corners: Floats) -> tuple[Floats, Agreement]:
-    """Corners refined from within a few per cent of the target's side, and the agreement there.
+    """Refine corners from within a few per cent of the target's side; return them and the agreement.
 
-    image: (rows, cols). The homography that maximises the enhanced correlation coefficient (Evangelidis and Psarakis,
-    PAMI 30, 2008), against the target at that one of a few blurs which agrees best.
+    image: (rows, cols). The homography maximises the enhanced correlation coefficient
+    (Evangelidis and Psarakis, PAMI 30, 2008) with the target, at the best of a few blurs.
     """
     factor = max(1, round(_side(corners) / WORKING_SIDE))
     picture, at = _prepared(image, corners, factor)
@@ -86,7 +87,7 @@ def register(image: Singles, target: Target, corners: Floats) -> tuple[Floats, A
 def quick_agreement(
     image: Singles, target: Target, corners: Floats, side: int = 81
 ) -> float:
-    """Correlation over the target at a coarse scale, 0 where most of it lies outside the picture."""
+    """Return the correlation over the target at a coarse scale; 0 if most of the target is outside the image."""
     if np.ptp(corners, axis=0).max() > MOST_LARGER * max(image.shape):
         return 0.0
     factor = max(1, round(_side(corners) / side))
@@ -96,10 +97,11 @@ def quick_agreement(
 
 
 def parent_agreement(image: Singles, target: Target, corners: Floats) -> float:
-    """How well the picture around agrees with the target being only one ninth of a larger one like it.
+    """Return the agreement of the surrounding image with a target nine times as large in area.
 
-    A carpet repeats itself: of a carpet that is partly out of the frame a smaller carpet is found, whole. Returns the
-    best correlation over the eight places that it could have, outside of `corners` themselves.
+    A carpet contains smaller carpets. If a carpet is partly outside the frame, a whole
+    smaller carpet is found in its place. The result is the best correlation over the eight
+    possible places of the larger carpet, outside of `corners`.
     """
     unit = np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, 1.0], [1.0, -1.0]])
     image_from_small = _homography(unit, corners)
@@ -119,12 +121,12 @@ def parent_agreement(image: Singles, target: Target, corners: Floats) -> float:
 
 
 def _side(corners: Floats) -> float:
-    """Mean of a quadrilateral's four sides."""
+    """Return the mean of a quadrilateral's four sides."""
     return float(np.mean(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1)))
 
 
 def binned(image: Singles, factor: int) -> Singles:
-    """Means over factor × factor pixels; what is left over at the end is dropped."""
+    """Return means over factor × factor pixels, without the remainder at the end."""
     if factor == 1:
         return image
     rows, cols = image.shape[0] // factor, image.shape[1] // factor
@@ -135,7 +137,7 @@ def binned(image: Singles, factor: int) -> Singles:
 
 
 def _prepared(image: Singles, corners: Floats, factor: int) -> tuple[Singles, Floats]:
-    """The neighbourhood of a quadrilateral, binned, and the quadrilateral in its pixels."""
+    """Return the neighbourhood of a quadrilateral, binned, and the quadrilateral in its pixels."""
     reach = 0.3 * _side(corners)
     low = np.maximum(np.floor(corners.min(axis=0) - reach), 0).astype(int)
     high = np.maximum(np.ceil(corners.max(axis=0) + reach), low + 2 * factor).astype(int)
@@ -163,7 +165,7 @@ def _render(target: Target, side_px: float) -> _Template:
 
 
 def _homography(source: Floats, destination: Floats) -> Floats:
-    """The 3×3 map of (x, y) that takes four (row, col) points to four others."""
+    """Return the 3×3 map of (x, y) from four (row, col) points to four others."""
     x_y = [
         np.ascontiguousarray(points[:, ::-1], dtype=np.float32)
         for points in (source, destination)
@@ -172,7 +174,7 @@ def _homography(source: Floats, destination: Floats) -> Floats:
 
 
 def _mapped(homography: Floats, points: Floats) -> Floats:
-    """(row, col) points under a map of (x, y)."""
+    """Return (row, col) points under a map of (x, y)."""
     x, y, w = homography @ np.column_stack((points[:, ::-1], np.ones(len(points)))).T
     return np.column_stack((y / w, x / w))
 
@@ -210,7 +212,7 @@ def _ecc(
 def _aligned(
     picture: Singles, template: _Template, corners: Floats
 ) -> tuple[Singles, NDArray[np.bool_]]:
-    """The picture on the template's grid, lightly blurred, and where it has any."""
+    """Return the image on the template's grid, lightly blurred, and a mask of valid samples."""
     image_from_template = _homography(template.corners, corners)
     size = template.shape[::-1]
     how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
@@ -225,7 +227,7 @@ def _aligned(
 
 
 def _lit(picture: Singles, template: _Template, corners: Floats, sigma: float) -> _Template:
-    """The template under the light that the picture shows: a plane in row and column, plus a constant."""
+    """Return the template under the image's illumination: a plane in row and column, plus a constant."""
     warped, in_frame = _aligned(picture, template, corners)
     expected = template.blurred(sigma)
     y, x = (
@@ -287,7 +289,7 @@ def _agreement(
 
 
 def _correlation(a: Singles, b: Singles, where: NDArray[np.bool_]) -> float:
-    """Pearson's, over the pixels `where`; 0 when they are too few or one side is flat."""
+    """Return Pearson's correlation over the pixels `where`; 0 if they are too few or an image is flat."""
     if np.count_nonzero(where) < 0.2 * where.size:
         return 0.0
     left, right = (x[where].astype(np.float64) for x in (a, b))

@@ -1,4 +1,4 @@
-"""How sharp a photograph is: by its steepest edges, and by how much blur a known target has taken."""
+"""Measure the sharpness of a photograph: its steepest edges, and the blur of a known target."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ WORKING_SIDE = 500
 
 
 def sharpest_edge_px(mosaic: Mosaic) -> float | None:
-    """edge_px of the lit part of a photograph; None for one that is nearly even, such as a flat."""
+    """Return edge_px of the lit part of a photograph; None for a nearly even image, such as a flat."""
     (top, bottom), (left, right) = _lit_part(mosaic.counts)
     spare = max(0, bottom - top - MOST_ROWS) // 4 * 2
     top, bottom = top + spare, bottom - spare
@@ -43,10 +43,12 @@ def sharpest_edge_px(mosaic: Mosaic) -> float | None:
 
 
 def edge_px(image: ArrayLike) -> float:
-    """Pixels over which the sharpest edges rise: contrast over the steepest slope. 2.6 at best, 3.2 with colour filters.
+    """Return the rise of the sharpest edges in pixels: contrast over the steepest slope.
 
-    image: (rows, cols) grey, such as from `grey_image`, with a target that fills it. The steepest slope is one that
-    as many pixels exceed as lie along two of its sides: a target has longer edges, and noise is not taken for one.
+    The least value is 2.6, or 3.2 with colour filters. The steepest slope is a quantile,
+    exceeded by as many pixels as lie along two sides of the image: a target has longer
+    edges, and noise does not count. image: (rows, cols) grey, such as from `grey_image`,
+    filled by a target.
     """
     grey = cv2.GaussianBlur(np.asarray(image, dtype=np.float32), (0, 0), 0.7)
     slope = np.hypot(
@@ -62,7 +64,7 @@ def edge_px(image: ArrayLike) -> float:
 
 
 def _lit_part(counts: Counts) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Rows and columns, from even to even, of the box around what is brighter than halfway, and a little more."""
+    """Return rows and columns, from even to even, of the box around pixels brighter than halfway, and a margin."""
     rows, cols = counts.shape
     step = max(2, -(-max(rows, cols) // LIT_CELLS) // 2 * 2)
     coarse = cv2.resize(
@@ -83,10 +85,11 @@ def _lit_part(counts: Counts) -> tuple[tuple[int, int], tuple[int, int]]:
 
 
 def blur_px(image: ArrayLike, target: Target, corners: Floats) -> float:
-    """Diameter in pixels of the blur circle with which the rendered target agrees best with the picture of it.
+    """Return the diameter in pixels of the blur circle at which the rendered target agrees best with the image.
 
-    image: (rows, cols) grey; corners: (4, 2) from `find_target`. Within about a third; what is below two pixels is
-    the lens's and the pixels' own. Out of focus the circle is the pupil's shadow, thesis (E.9).
+    image: (rows, cols) grey; corners: (4, 2) from `find_target`. The diameter is right
+    within about a third; below two pixels, lens and pixels themselves blur as much. Out of
+    focus the circle is the pupil's shadow, thesis (E.9).
     """
     side = float(np.mean(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1)))
     scale = min(1.0, WORKING_SIDE / side)
@@ -112,7 +115,7 @@ def blur_px(image: ArrayLike, target: Target, corners: Floats) -> float:
 def _straightened(
     image: NDArray[np.float32], corners: Floats, rows: int, cols: int
 ) -> NDArray[np.float32]:
-    """The target's part of a picture on a regular grid."""
+    """Return the target's part of an image on a regular grid."""
     grid = np.array(
         [[-0.5, -0.5], [cols - 0.5, -0.5], [cols - 0.5, rows - 0.5], [-0.5, rows - 0.5]],
         dtype=np.float32,
@@ -125,7 +128,7 @@ def _straightened(
 
 
 def _out_of_focus(image: NDArray[np.float32], diameter: float) -> NDArray[np.float32]:
-    """An image under a disc of that diameter, drawn eight times finer than its pixels."""
+    """Return an image blurred by a disc of a diameter, drawn eight times finer than the pixels."""
     reach = int(np.ceil(diameter / 2))
     fine = np.arange(-8 * reach - 3.5, 8 * reach + 4) / 8
     disc = (np.hypot(fine[:, None], fine[None, :]) <= diameter / 2).astype(np.float32)

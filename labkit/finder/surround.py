@@ -1,4 +1,4 @@
-"""How light it is around a target in photographs, beside the target's own black and white."""
+"""Measure the surround's radiance in photographs, relative to the target's black and white."""
 
 from __future__ import annotations
 
@@ -14,17 +14,18 @@ DARK_PERCENT, LIGHT_PERCENT = 5, 95
 
 
 def surround_level(light: Floats, used: Bools, pose: Pose) -> float | None:
-    """Return how light the surround is.
+    """Return the surround's relative radiance.
 
     Parameters
     ----------
     light : (rows, columns), counts over relative illumination
-    used : (rows, columns) mask of the pixels that count
+    used : (rows, columns) mask of the usable pixels
     pose : of the target in these rows and columns
 
     Returns
     -------
-    0 for the target's black, 1 for its white; None if no pixel sees the surround, or the target has no contrast
+    0 for the target's black, 1 for its white; None if no pixel sees the surround, or the
+    target has no contrast
     """
     corners = pose.corners_px()
     inside = np.zeros(light.shape, np.uint8)

@@ -1,4 +1,4 @@
-"""Where a target of any kind may be in a picture: correlation over scale, rotation and position."""
+"""Search an image for a target of any kind: correlation over scale, rotation and position."""
 
 from __future__ import annotations
 
@@ -29,9 +29,10 @@ SCALE_STEP = 1.05
 def swept_hypotheses(
     image: Singles, target: Target, sides_px: Floats, most: int = 6
 ) -> Iterator[Floats]:
-    """Corners (4, 2) (row, col) of the likeliest places, best first.
+    """Yield corners (4, 2) (row, col) of the likeliest places, best first.
 
-    image: (rows, cols); sides_px: the target's heights to try. All four quarter turns, each ±15 degrees.
+    image: (rows, cols); sides_px: the target's heights to try. All four quarter turns are
+    tried, each ±15 degrees.
     """
     templates = _templates(target)
     places: list[tuple[float, Floats]] = []
@@ -60,7 +61,10 @@ def swept_hypotheses(
 
 
 def _likeness(picture: Singles, template: Singles) -> Singles:
-    """Correlation with the template at each place; 0 where the picture is even, which OpenCV may take for likeness of 1."""
+    """Return the correlation with the template at each place; 0 where the image is even.
+
+    OpenCV may give 1 in even areas.
+    """
     likeness = cv2.matchTemplate(picture, template, cv2.TM_CCOEFF_NORMED)
     rows, cols = likeness.shape
     mean, square = (
@@ -75,7 +79,7 @@ def _likeness(picture: Singles, template: Singles) -> Singles:
 
 
 def _templates(target: Target) -> list[tuple[Singles, Floats]]:
-    """The target in every direction tried, once where several look the same."""
+    """Return the target in every tried direction, without directions that look the same."""
     spacing = target.size_mm[0] / COARSE_SIDE
     rows, cols = (int(side / spacing / 2) + 3 for side in target.size_mm)
     y, x = np.arange(-rows, rows + 1) * spacing, np.arange(-cols, cols + 1) * spacing
@@ -100,7 +104,9 @@ def _templates(target: Target) -> list[tuple[Singles, Floats]]:
 def _turned(
     flat: Singles, size_mm: tuple[float, float], spacing: float, degrees: float
 ) -> tuple[Singles, Floats]:
-    """The part of the turned target that an upright rectangle holds, and the target's corners in its pixels."""
+    """Return the part of the rotated target inside an upright rectangle, and the target's corners in its
+    pixels.
+    """
     height, width = size_mm
     turn = np.deg2rad(degrees)
     cos, sin = np.cos(turn), np.sin(turn)

@@ -1,4 +1,4 @@
-"""What to do and with what: the plan, a TOML file checked before anything happens."""
+"""The plan of a session: a TOML file, checked before anything happens."""
 
 from labkit.plan.plan import Plan, leading_channel
 from labkit.plan.sensor import MeasuredTone, Sensor

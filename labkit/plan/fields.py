@@ -1,4 +1,4 @@
-"""What a field of the plan may hold: ranges of numbers and patterns of text, as validators and as words for messages."""
+"""Allowed values of a plan's fields: ranges of numbers and patterns of text, as validators and as words."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Allowed:
 
 @dataclass(frozen=True, slots=True)
 class Matching:
-    """Printable text that a regular expression describes, as a pydantic validator and as words for messages."""
+    """Printable text that matches a regular expression, as a pydantic validator and as words for messages."""
 
     pattern: str
     words: str
@@ -50,7 +50,7 @@ class Matching:
 
 @dataclass(frozen=True, slots=True)
 class Takes:
-    """What a field takes, where its type does not say it: words for messages and for the reference."""
+    """Words for messages and the reference on a field's values, beyond its type."""
 
     words: str
 
@@ -59,7 +59,7 @@ class Takes:
 
 
 def or_fit(low: float, high: float) -> BeforeValidator:
-    """A validator of a number from `low` to `high`, or of "fit"."""
+    """Return a validator of a number from `low` to `high`, or of "fit"."""
     words = f'{low:g} to {high:g}, or "fit"'
 
     def checked(given: Any) -> Any:
@@ -71,12 +71,12 @@ def or_fit(low: float, high: float) -> BeforeValidator:
 
 
 def matches(pattern: str, words: str) -> AfterValidator:
-    """A validator of printable text that a regular expression describes; `words` say what is allowed."""
+    """Return a validator of printable text that matches a regular expression; `words` state what is allowed."""
     return AfterValidator(Matching(pattern, words))
 
 
 def what_it_takes(field: FieldInfo) -> str:
-    """What a field of a table takes, in words; empty where its type says enough."""
+    """Return in words which values a field takes; empty if the type says enough."""
     optional = [
         item
         for part in get_args(field.annotation)
@@ -94,17 +94,17 @@ def what_it_takes(field: FieldInfo) -> str:
 
 
 def not_allowed(words: str) -> PydanticCustomError:
-    """A value that its field does not take; `words` say what is allowed."""
+    """Return the error of a value that its field rejects; `words` state what is allowed."""
     return PydanticCustomError("allowed", "{words}", {"words": f"allowed is {words}"})
 
 
 def problem(words: str) -> PydanticCustomError:
-    """A problem of a whole table; `words` name the field."""
+    """Return the error of a whole table; `words` name the field."""
     return PydanticCustomError("problem", "{words}", {"words": words})
 
 
 def repeated(values: Iterable[Value]) -> list[Value]:
-    """The values that stand more than once."""
+    """Return the values that occur more than once."""
     return [value for value, times in Counter(values).items() if times > 1]
 
 

@@ -1,4 +1,4 @@
-"""What is wrong with tables, as one line: field, value, what is allowed."""
+"""Describe faults of tables in one line: field, value, what is allowed."""
 
 from __future__ import annotations
 
@@ -22,9 +22,10 @@ MOST_PROBLEMS = 20
 def message(
     error: ValidationError, model: type[BaseModel], tables: Mapping[str, Any]
 ) -> str:
-    """Every problem of `tables` that are no `model`, in one line; keys that are not known come first.
+    """Describe all faults of `tables` that are no `model` in one line, unknown keys first.
 
-    A key written wrongly is often missing as well: its name is what leads on. A list is too short for what is wrong in it.
+    A misspelt key is often missing as well: its name is more helpful. A list is called too
+    short when its values are wrong.
     """
     details = sorted(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
     within = {
@@ -42,7 +43,7 @@ def message(
 
 
 def plain_number(text: str) -> str | None:
-    """The number that is meant by a fraction, an f-number as engraved or a decimal comma; None for other text."""
+    """Return the number meant by a fraction, an engraved f-number or a decimal comma; None for other text."""
     if fraction := re.fullmatch(
         r"\s*(\d{1,9}(?:\.\d{1,9})?)\s*/\s*(\d{1,9}(?:\.\d{1,9})?)\s*s?\s*", text
     ):
@@ -55,7 +56,7 @@ def plain_number(text: str) -> str | None:
 
 
 def dotted(steps: Iterable[Step]) -> str:
-    """Keys as TOML writes them, long ones cut short."""
+    """Return keys as TOML writes them, long keys shortened."""
     keys = [str(step) for step in steps]
     return ".".join(
         key if len(key) <= LONGEST else f"{key[: LONGEST - 3]}..." for key in keys
@@ -65,7 +66,7 @@ def dotted(steps: Iterable[Step]) -> str:
 def _problem(
     detail: ErrorDetails, model: type[BaseModel], tables: Mapping[str, Any]
 ) -> str:
-    """One problem as words."""
+    """Return one fault in words."""
     loc, value = _whole_field(detail["loc"], tables)
     where = _where(loc, tables)
     match detail["type"]:
@@ -92,7 +93,7 @@ def _problem(
 def _whole_field(
     loc: tuple[Step, ...], tables: Mapping[str, Any]
 ) -> tuple[tuple[Step, ...], Any]:
-    """A location without the places in a list that a field holds, and the field's value; None where it is missing."""
+    """Return a location without indices into the field's list, and the field's value; None if missing."""
     value: Any = tables
     for depth, step in enumerate(loc):
         inner = value.get(step) if isinstance(value, Mapping) else None
@@ -105,7 +106,7 @@ def _whole_field(
 
 
 def _where(loc: tuple[Step, ...], tables: Mapping[str, Any]) -> str:
-    """A location in the plan's words; a channel goes by its name, or by its number where that is what is wrong."""
+    """Return a location in the plan's words: a channel by its name, or by its number if the name is wrong."""
     if len(loc) < 2 or not isinstance(loc[1], int):
         return dotted(loc)
     channel = tables["channel"][loc[1]]
@@ -119,7 +120,7 @@ def _where(loc: tuple[Step, ...], tables: Mapping[str, Any]) -> str:
 
 
 def _model_at(loc: tuple[Step, ...], model: type[BaseModel]) -> type[BaseModel]:
-    """The model of the table that a location lies in."""
+    """Return the model of the table at a location."""
     for step in loc[:-1]:
         if isinstance(step, str) and step in model.model_fields:
             model = next(_models(model.model_fields[step].annotation), model)
@@ -141,6 +142,6 @@ def _unknown_key(loc: tuple[Step, ...], where: str, model: type[BaseModel]) -> s
 
 
 def _needs(loc: tuple[Step, ...], model: type[BaseModel]) -> str:
-    """What a field takes, in words; empty where its type says enough."""
+    """Return in words which values a field takes; empty if the type says enough."""
     field = _model_at(loc, model).model_fields.get(str(loc[-1])) if loc else None
     return "" if field is None else what_it_takes(field)

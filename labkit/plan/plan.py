@@ -37,15 +37,15 @@ COLOUR_WORDS = {"r": "R", "red": "R", "g": "G", "green": "G", "b": "B", "blue": 
 
 
 def leading_channel(names: Sequence[str]) -> str:
-    """The channel that stands for all where one must: green, or the first."""
+    """Return the channel that represents all others: green, or the first."""
     return LEADING if LEADING in names else names[0]
 
 
 class Plan(Table):
-    """Everything about a session that the photographs do not state.
+    """The facts of a session that the photographs do not state.
 
-    Made by `load`, `parse` and `from_tables`, changed by `replace`: these raise PlanError, one line that names every
-    field that is wrong.
+    `load`, `parse` and `from_tables` make a plan, `replace` changes a copy. All raise
+    PlanError, one line that names every wrong field.
 
     >>> plan = labkit.Plan.load("plan.toml").replace(fit={"zernike_noll": (4, 22)})
     """
@@ -64,7 +64,13 @@ class Plan(Table):
 
     @classmethod
     def load(cls, path: Path | str) -> Plan:
-        """The plan in a TOML file. Raises PlanError."""
+        """Load the plan in a TOML file.
+
+        Raises
+        ------
+        PlanError
+            the file is missing or holds no plan
+        """
         path = Path(path)
         try:
             return cls.parse(read_text(path), path.parent)
@@ -73,15 +79,26 @@ class Plan(Table):
 
     @classmethod
     def parse(cls, text: str, folder: Path | str = ".") -> Plan:
-        """The plan in TOML; a target's file is relative to `folder`. Raises PlanError."""
+        """Parse a plan in TOML; a target's file is relative to `folder`.
+
+        Raises
+        ------
+        PlanError
+            the text holds no plan
+        """
         return cls.from_tables(read_tables(text), folder)
 
     def replace(self, **tables: Any) -> Plan:
-        """Another plan, in which some tables are changed; it is checked as a file is.
+        """Return a copy with some tables changed, checked like a file.
 
-        A dict goes into its table, key by key; None takes a key, or a whole table, out again. A list of channels takes the
-        place of the list: ``plan.replace(fit={"zernike_noll": (4, 22)}, channel=[{"name": "G", "wavelength_nm": 550}])``.
-        Raises PlanError.
+        A dict changes its table, key by key; None removes a key, or a whole table. A list
+        of channels replaces the list: ``plan.replace(fit={"zernike_noll": (4, 22)},
+        channel=[{"name": "G", "wavelength_nm": 550}])``.
+
+        Raises
+        ------
+        PlanError
+            the changed plan is wrong
         """
         changed = self._tables()
         for name, given in tables.items():
@@ -94,7 +111,7 @@ class Plan(Table):
         return type(self).from_tables(changed)
 
     def to_toml(self) -> str:
-        """The plan as TOML that `parse` reads as an equal plan; what was left to its default is left out."""
+        """Return the plan as TOML, without defaults; `parse` reads an equal plan."""
         return write_tables(plain(self._tables()))
 
     def _tables(self) -> dict[str, Any]:
@@ -102,7 +119,7 @@ class Plan(Table):
 
     @property
     def reference_wavelength_nm(self) -> float:
-        """What waves are counted in: as [fit] states; else 450 nm, or the wavelength of a single channel."""
+        """Wavelength of the unit "waves": as [fit] states; else 450 nm, or the wavelength of a single channel."""
         if self.fit.reference_wavelength_nm is not None:
             return self.fit.reference_wavelength_nm
         return self.channel[0].wavelength_nm if len(self.channel) == 1 else REFERENCE_NM

@@ -1,4 +1,4 @@
-"""The plan's [sensor]: sampling, and what files do not state of themselves."""
+"""The plan's [sensor]: sampling, and properties that files do not state themselves."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ USUAL_SPREAD_PX = 0.5
 
 
 def _spread(given: Any) -> Any:
-    """Of a low-pass filter or a smear, as a plan may state it."""
+    """Return a low-pass filter's or a smear's spread from a plan's value."""
     spreads = given if isinstance(given, (list, tuple)) else (given, given)
     numbers = len(spreads) == 2 and all(
         type(s) in (int, float) and 0 <= s <= 3 for s in spreads
@@ -44,22 +44,24 @@ def _spread(given: Any) -> Any:
 
 
 class LowPassFilter(Table):
-    """An optical low-pass filter in front of the sensor. Without this table no filter is assumed, and `labkit fit` looks
-    for one."""
+    """An optical low-pass filter in front of the sensor. Without this table `labkit fit` assumes no filter, and
+    tests for one.
+    """
 
     spread_px: Annotated[
         float | tuple[float, float] | Literal["fit"],
         BeforeValidator(_spread),
         Takes(SPREAD),
     ]
-    """Distance between the filter's spots, in pixel pitches of the file: along rows and columns alike, or
-    `[rows, columns]`; `"fit"` estimates it."""
+    """Distance between the filter's spots, in pixel pitches of the file: equal along rows and columns, or
+    `[rows, columns]`; `"fit"` estimates the distance.
+    """
     turned: bool = False
     """Whether the spots lie on the diagonals, turned by 45°."""
 
     @property
     def squares(self) -> tuple[float, float]:
-        """Of the spreads along rows and columns, pixels squared; where a fit is to begin."""
+        """Squared spreads along rows and columns, in pixels squared, at the start of a fit."""
         spread = USUAL_SPREAD_PX if self.spread_px == "fit" else self.spread_px
         rows, columns = spread if isinstance(spread, tuple) else (spread, spread)
         return float(rows) ** 2, float(columns) ** 2
@@ -76,7 +78,7 @@ HEADERLESS = "[rows, columns], each from 2 to 65536"
 
 
 class MeasuredTone(Table):
-    """A tone curve as `labkit camera tone` measures it."""
+    """A tone curve measured by `labkit camera tone`."""
 
     light: Annotated[
         tuple[Number, ...],
@@ -89,7 +91,7 @@ class MeasuredTone(Table):
         Field(min_length=1),
         Takes("rising numbers, 0 to 1, as many"),
     ]
-    """What the camera wrote for each step, as a share of full scale: one list for each colour, or one for all."""
+    """The camera's number for each step, as a share of full scale: one list for each colour, or one for all."""
     std: Annotated[
         tuple[tuple[Number, ...], ...], Takes("as many numbers as in `numbers`")
     ] = ()
@@ -109,7 +111,7 @@ class MeasuredTone(Table):
 
 
 def _tone(given: Any) -> Any:
-    """Of `Sensor.tone_curve`, as a plan may state it."""
+    """Return `Sensor.tone_curve` from a plan's value."""
     if isinstance(given, MeasuredTone) or (
         isinstance(given, str) and given in ("file", "linear", "sRGB")
     ):
@@ -121,8 +123,9 @@ def _tone(given: Any) -> Any:
 
 
 class Sensor(Table):
-    """The sensor's sampling, and what image files do not state. Raw files state their colour filter pattern and their
-    levels themselves: leave those keys out."""
+    """The sensor's sampling, and properties that image files do not state. Raw files state their colour filter
+    pattern and their levels: omit these keys.
+    """
 
     pixel_pitch_um: Annotated[Number, AfterValidator(Allowed(0.1, 1000))]
     """Distance between neighbouring samples of the file."""
@@ -136,27 +139,32 @@ class Sensor(Table):
     white_level: Annotated[Number, AfterValidator(Allowed(1, 65535))] | None = None
     """Count at saturation; above the black level. Default: as the files state."""
     headerless_px: Annotated[tuple[Pixels, Pixels] | None, Takes(HEADERLESS)] = None
-    """Size of files that hold nothing but 16-bit numbers, lower byte first. Default: the files have headers."""
+    """Size of files of bare 16-bit numbers, lower byte first. Default: the files have headers."""
     low_pass_filter: LowPassFilter | None = None
     diffusion_px: Annotated[
         float | Literal["fit"] | None, or_fit(0, 2), Takes('0 to 2, or "fit"')
     ] = None
-    """Standard deviation of the charge's diffusion, in pixel pitches of the file; `"fit"` estimates it. Default: none, and
-    `labkit fit` looks for it."""
+    """Standard deviation of the charge's diffusion, in pixel pitches of the file; `"fit"` estimates it.
+    Default: none, and `labkit fit` tests for diffusion.
+    """
     smear_px: Annotated[
         float | tuple[float, float] | Literal["fit"] | None,
         BeforeValidator(_spread),
         Takes(SPREAD),
     ] = None
-    """Standard deviation of the camera's or rail's shake while the shutter is open, in pixel pitches of the file: along rows
-    and columns alike, or `[rows, columns]`; `"fit"` estimates it. Default: none, and `labkit fit` looks for it."""
+    """Standard deviation of the camera's or rail's shake during the exposure, in pixel pitches of the file:
+    equal along rows and columns, or `[rows, columns]`; `"fit"` estimates it. Default: none, and `labkit fit`
+    tests for shake.
+    """
     tone_curve: Annotated[
         Literal["file", "linear", "sRGB"] | MeasuredTone,
         BeforeValidator(_tone),
         Takes(TONE),
     ] = "file"
-    """Tone curve of processed pictures (JPEG, PNG, TIFF in colours), which labkit undoes. `"file"`: the curve that each file
-    states, sRGB where a picture in colours states none. `"linear"`: none. A table: as `labkit camera tone` measured it."""
+    """Tone curve of processed pictures (JPEG, PNG, TIFF in colours), which labkit inverts. `"file"`: the curve
+    stated by each file, sRGB if a picture in colours states none. `"linear"`: none. A table: as measured by
+    `labkit camera tone`.
+    """
 
     @property
     def active_um(self) -> float:
@@ -164,13 +172,13 @@ class Sensor(Table):
         return self.pixel_pitch_um * math.sqrt(self.fill_factor)
 
     def assumed_pattern(self, channel: str) -> str:
-        """`cfa_pattern`; where it is left to the files a Bayer array for its colours, "mono" for other channels."""
+        """Return `cfa_pattern`; without this key a Bayer array for its colours, "mono" for other channels."""
         if self.cfa_pattern is not None:
             return self.cfa_pattern
         return BAYER if channel in BAYER else "mono"
 
     def pixels(self, channel: str) -> ChannelPixels:
-        """Which pixels are a channel's, by `assumed_pattern`. Raises RawError for a colour that it lacks."""
+        """Return a channel's pixels by `assumed_pattern`. Raises RawError for a colour that the array lacks."""
         return channel_pixels(pattern_of(self.assumed_pattern(channel)), channel)
 
     @model_validator(mode="after")

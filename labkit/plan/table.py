@@ -1,4 +1,4 @@
-"""What every table of a plan has in common."""
+"""The base of all tables of a plan."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class Table(BaseModel):
         *,
         files_needed: bool = True,
     ) -> Self:
-        """Of dicts and lists such as TOML gives; a target's file is relative to `folder`.
+        """Return the plan in dicts and lists such as TOML gives; a target's file is relative to `folder`.
 
-        files_needed: whether a target's file must be there.
+        files_needed: whether a target's file must exist.
 
-        Raises PlanError, one line that names every field that is wrong.
+        Raises PlanError, one line that names every wrong field.
         """
         tables = plain(tables)
         try:

@@ -82,37 +82,43 @@ class Lens(Table):
     focal_length_mm: Annotated[Number, AfterValidator(Allowed(0.1, 10_000))]
     """Focal length as engraved."""
     f_number: Annotated[Number, AfterValidator(Allowed(0.3, 256))]
-    """F-number as engraved: at infinity, at the aperture that was set, of the circle as large as the pupil's clear area."""
+    """Engraved f-number: at infinity, at the selected aperture, of the circle as large as the pupil's clear
+    area.
+    """
     veil: Annotated[
         float | Literal["fit"] | None, or_fit(0, 0.5), Takes('0 to 0.5, or "fit"')
     ] = None
-    """Share of the light that the lens strays round about; `"fit"` estimates it. Default: none, and `labkit fit` looks for
-    it."""
+    """Veiling glare: share of the light that the lens scatters widely; `"fit"` estimates it. Default: none, and
+    `labkit fit` tests for glare.
+    """
     veil_scale_px: Annotated[Number, AfterValidator(Allowed(3, 100))] = 15.0
-    """Distance over which that light falls to 1/e, pixels. A veil that is fitted begins with it and has its own."""
+    """Distance over which the veiling glare falls to 1/e, pixels. A fitted glare starts here and has its own
+    distance.
+    """
     blades: Annotated[Count, AfterValidator(Allowed(3, 20, whole=True))] | None = None
     """Number of blades of the diaphragm, which shape the pupil; their direction and roundness are estimated. Default:
     `labkit fit` looks for 5 to 11 blades."""
     obstruction: Annotated[
         float | Literal["fit"] | None, or_fit(0, 0.89), Takes('0 to 0.89, or "fit"')
     ] = None
-    """Diameter of the obstructed middle of the pupil over that of the pupil, such as a mirror lens's; `"fit"` estimates it.
-    Default: none, and `labkit fit` looks for it."""
+    """Diameter of the pupil's obstructed middle over the pupil's, such as a mirror lens's; `"fit"` estimates
+    it. Default: none, and `labkit fit` tests for an obstruction.
+    """
     focal_length_std_mm: Error | None = None
-    """Standard error of the engraved focal length. Default: 2 % of it."""
+    """Standard error of the engraved focal length. Default: 2 %."""
     f_number_std: Error | None = None
-    """Standard error of the engraved f-number. Default: 3 % of it."""
+    """Standard error of the engraved f-number. Default: 3 %."""
 
     @property
     def stated_focal_length(self) -> Uncertain:
-        """As engraved, with its error."""
+        """Engraved focal length, with its error."""
         return _stated(
             self.focal_length_mm, self.focal_length_std_mm, ENGRAVED_FOCAL_LENGTH, "mm"
         )
 
     @property
     def stated_f_number(self) -> Uncertain:
-        """As engraved, with its error."""
+        """Engraved f-number, with its error."""
         return _stated(self.f_number, self.f_number_std, ENGRAVED_F_NUMBER)
 
     @model_validator(mode="after")
@@ -123,24 +129,29 @@ class Lens(Table):
 
 
 class Channel(Table):
-    """A colour of the filter array, and the wavelength that represents it. One table, in double brackets, for each colour."""
+    """A colour of the filter array, and the wavelength that represents this colour. One table, in double
+    brackets, for each colour.
+    """
 
     name: Name
-    """Colour of the filter array: `"R"`, `"G"` or `"B"`, or a letter of `sensor.cfa_pattern`; `"G"` is both green planes
-    together. The one channel of a mono sensor may have any name."""
+    """Colour of the filter array: `"R"`, `"G"` or `"B"`, or a letter of `sensor.cfa_pattern`; `"G"` is both
+    green planes together. The single channel of a mono sensor may have any name.
+    """
     wavelength_nm: Annotated[Number, AfterValidator(Allowed(100, 20_000))]
     """Mean wavelength of the light times the filter."""
     wavelength_std_nm: Error | None = None
-    """Standard error of the wavelength. Default: 0.5 % of it."""
+    """Standard error of the wavelength. Default: 0.5 %."""
     spectrum: Annotated[tuple[tuple[Number, Number], ...] | None, Takes(SPECTRUM)] = None
-    """Spectrum of the light times the filter, where it is known; its mean lies within 5 % of the wavelength. Default: one
-    wavelength; `labkit fit` looks for a width."""
+    """Spectrum of the light times the filter, if known; its mean lies within 5 % of the wavelength. Default: a
+    single wavelength; `labkit fit` tests for a width.
+    """
 
     width_nm: Annotated[
         float | Literal["fit"] | None, or_fit(0, 1000), Takes('0 to 1000, or "fit"')
     ] = None
-    """Standard deviation of the light's wavelengths, in place of a spectrum: 0.42 of the width at half maximum of a Gaussian;
-    `"fit"` estimates it."""
+    """Standard deviation of the light's wavelengths, in place of a spectrum: 0.42 of a Gaussian's width at half
+    maximum; `"fit"` estimates it.
+    """
 
     @property
     def samples(self) -> tuple[list[float], list[float]]:
@@ -151,7 +162,7 @@ class Channel(Table):
 
     @property
     def stated_wavelength(self) -> Uncertain:
-        """With its error."""
+        """Wavelength, with its error."""
         return _stated(self.wavelength_nm, self.wavelength_std_nm, FILTER_WAVELENGTH, "nm")
 
     @model_validator(mode="after")
@@ -191,12 +202,12 @@ class TargetPixels(Table):
     """The pixels of the panel that shows the target, where the camera resolves them. The table may be empty."""
 
     pitch_mm: Length | None = None
-    """Pitch of the panel's square pixels. Default: that of `[display]`."""
+    """Pitch of the panel's square pixels. Default: as in `[display]`."""
     layout: Literal["rgb-stripes", "bgr-stripes", "rgb-rows", "bgr-rows"] = "rgb-stripes"
     """Order of the colours in a pixel, as the photograph shows the panel upright: columns from left to right (stripes), or rows
     from top to bottom."""
     aperture: Annotated[tuple[Number, Number] | None, Takes(APERTURE)] = None
-    """Share of its third of a pixel, and of the pitch along it, over which a stripe is lit. Default: estimated."""
+    """Lit share of a stripe: of its third of a pixel, and of the pitch along the stripe. Default: estimated."""
 
     @field_validator("aperture")
     @classmethod
@@ -207,16 +218,16 @@ class TargetPixels(Table):
 
 
 class TargetSpec(Table):
-    """The target that was photographed. Which keys it needs depends on its kind."""
+    """The photographed target. The needed keys depend on its kind."""
 
     kind: Annotated[
         str, matches("[a-z][a-z0-9_]*", "the name of a target, such as sierpinski or image")
     ]
-    """Kind of target: one that comes with labkit, or of a package of your own."""
+    """Kind of target: built into labkit, or from a package of your own."""
     size_mm: Length
-    """Side of the whole target; its height, where it is not square."""
+    """Side of the whole target; the height of a target that is not square."""
     size_std_mm: Error | None = None
-    """Standard error of the size. Default: 1e-4 of it."""
+    """Standard error of the size. Default: 1e-4 of the size."""
     order: Annotated[Count, AfterValidator(Allowed(1, 8, whole=True))] | None = None
     """Order of a Sierpinski carpet, which has 3ⁿ × 3ⁿ cells; octaves of a tri-bar target. Default: none."""
     cells: Cells | None = None
@@ -232,7 +243,7 @@ class TargetSpec(Table):
     diameter_mm: Length | None = None
     """Diameter of a disk, less than the side of its square. Default: none."""
     surround: Literal["black", "white", "unknown"] = "black"
-    """What surrounds the target."""
+    """Radiance around the target."""
     file: Path | None = None
     """Grey PNG, PGM or TIFF, relative to the plan; its values are relative radiance. Default: none."""
     corners_px: Annotated[tuple[Corner, Corner, Corner, Corner] | None, Takes(CORNERS)] = (
@@ -244,7 +255,7 @@ class TargetSpec(Table):
 
     @property
     def stated_size(self) -> Uncertain:
-        """Its size, with its error."""
+        """Size of the target, with its error."""
         return _stated(self.size_mm, self.size_std_mm, PRINTED_SIZE, "mm")
 
     @field_validator("file")
@@ -280,15 +291,16 @@ class TargetSpec(Table):
 
 
 class FitSettings(Table):
-    """What to estimate, and how well the ranges are known."""
+    """Settings of the estimate, and the uncertainty of the ranges."""
 
     zernike_noll: Annotated[tuple[Count, Count], Takes(NOLL)] | None = None
-    """First and last Zernike mode to estimate, in Noll's order: exactly these. Default: 4 to 15, and the radial orders beyond
-    that the photographs show."""
+    """First and last Zernike mode to estimate, in Noll's order: exactly these. Default: 4 to 15, and the higher
+    radial orders that the photographs show.
+    """
     most_noll: Annotated[Count, AfterValidator(Allowed(USUAL_NOLL[1], 45, whole=True))] = (
         MOST_NOLL
     )
-    """Last mode that may be added where `zernike_noll` is not stated."""
+    """Last mode that may be added if `zernike_noll` is not stated."""
     reference_wavelength_nm: (
         Annotated[Number, AfterValidator(Allowed(100, 20_000))] | None
     ) = None
@@ -298,7 +310,7 @@ class FitSettings(Table):
     range_std_mm: Annotated[Number, AfterValidator(Allowed(0, 1000))] = 0.01
     """Standard error of a range reading relative to the others."""
     range_zero_std_mm: Error = 10.0
-    """Standard error that all ranges have in common: that of the tape measure from the lens to the rail."""
+    """Standard error of the range zero, which all ranges share: of the tape measure from lens to rail."""
 
     @field_validator("zernike_noll")
     @classmethod
@@ -309,7 +321,7 @@ class FitSettings(Table):
 
     @property
     def noll(self) -> tuple[int, ...]:
-        """Modes that are estimated in any case, by Noll's numbers."""
+        """Modes that are always estimated, by Noll's numbers."""
         first, last = self.zernike_noll or USUAL_NOLL
         return tuple(range(first, last + 1))
 
@@ -324,7 +336,7 @@ class FitSettings(Table):
 
 
 class About(Table):
-    """What the report's title and every page of its PDF say of the measurement. No number depends on it."""
+    """Text for the report's title and every page of its PDF. No number depends on this table."""
 
     title: Short | None = None
     """Title of the report. Default: the session's name."""
@@ -333,13 +345,13 @@ class About(Table):
     serial: Short | None = None
     """Serial number of the lens."""
     operator: Short | None = None
-    """Name of the person who measured it."""
+    """Name of the person who measured."""
     note: Note | None = None
-    """Anything else that belongs on every page."""
+    """Further text for every page."""
 
 
 class CameraSettings(Table):
-    """The camera: where it is, how to expose, how many photographs to take."""
+    """The camera: its address, exposure and number of photographs."""
 
     address: Address
     """Driver and device: `"gphoto2:"` for the only camera on USB, `"gphoto2:usb:001,004"`, on a network
@@ -351,7 +363,7 @@ class CameraSettings(Table):
     f_number: Annotated[Number, AfterValidator(Allowed(0.3, 256))] | None = None
     """Aperture to set on the camera, if different from `lens.f_number`. Default: `lens.f_number`."""
     capture_target: Literal["ram", "card"] = "ram"
-    """Where the camera puts a photograph before it is fetched; those on a card stay there."""
+    """The camera's storage for a photograph before its transfer; photographs on a card stay there."""
     frames_per_range: Annotated[Count, AfterValidator(Allowed(1, 10_000, whole=True))] = 4
     """Photographs of the target at each range."""
     flats_per_range: Annotated[Count, AfterValidator(Allowed(0, 10_000, whole=True))] = 8
@@ -361,7 +373,7 @@ class CameraSettings(Table):
 
 
 class RailSettings(Table):
-    """The rail: where it is, and where to stop. The range is `range_at_zero_mm` + `direction` × rail position."""
+    """The rail: its address and stations. The range is `range_at_zero_mm` + `direction` × rail position."""
 
     address: Address
     """Driver and device: `"grbl:/dev/ttyUSB0"`, `"zaber:/dev/ttyUSB0"`, `"manual:"`, `"simulated:"`; `"grbl:simulated"` and
@@ -371,7 +383,7 @@ class RailSettings(Table):
     ]
     """Distances from the target to the camera at which to photograph, each once and above the focal length."""
     range_at_zero_mm: Annotated[Number, AfterValidator(Allowed(-1e6, 1e6))]
-    """Range when the rail's position is 0; `labkit rail calibrate` determines it."""
+    """Range at rail position 0; `labkit rail calibrate` determines it."""
     direction: Literal[1, -1] = 1
     """1: a larger position is a longer range; -1: a shorter one."""
     settle_s: Annotated[Number, AfterValidator(Allowed(0, 3600))] = 1.0
@@ -391,11 +403,11 @@ class RailSettings(Table):
         return ranges_mm
 
     def position_mm(self, range_mm: float) -> float:
-        """Where the rail stands at a range."""
+        """Return the rail's position at a range."""
         return self.direction * (range_mm - self.range_at_zero_mm)
 
     def range_mm(self, position_mm: float) -> float:
-        """The range when the rail stands at a position."""
+        """Return the range at a position of the rail."""
         return self.range_at_zero_mm + self.direction * position_mm
 
 
@@ -403,14 +415,15 @@ class DisplaySettings(Table):
     """The display that shows the target. Give `panel`, or `pixel_pitch_mm` and `pixels`; or `address = "manual:"`, paper."""
 
     address: Address
-    """Driver and place: `"web://127.0.0.1:8642"` for a browser on this machine, `"web://0.0.0.0:8642"` for one on the network
-    too, `"simulated:"`."""
+    """Driver and place: `"web://127.0.0.1:8642"` for a browser on this machine, `"web://0.0.0.0:8642"` also for
+    browsers on the network, `"simulated:"`.
+    """
     panel: Line | None = None
-    """Name of a panel that labkit knows. Default: none."""
+    """Name of a known panel. Default: none."""
     pixel_pitch_mm: Length | None = None
-    """Pixel pitch of any other panel, from its data sheet. Default: that of `panel`."""
+    """Pixel pitch of any other panel, from its data sheet. Default: as of `panel`."""
     pixels: Annotated[tuple[Count, Count] | None, Takes("[height, width] in pixels")] = None
-    """Size of any other panel. Default: that of `panel`."""
+    """Size of any other panel. Default: as of `panel`."""
 
     @property
     def by_hand(self) -> bool:
@@ -445,7 +458,7 @@ def _stated(value: float, std: float | None, relative: float, unit: str = "") ->
 
 
 def _refuse_larger(table: Table, name: str, error: str) -> None:
-    """Raise for a standard error that is larger than its value."""
+    """Raise an error for a standard error larger than its value."""
     value, std = getattr(table, name), getattr(table, error)
     if std is not None and std > value:
         raise problem(f"{error} = {std:g}: allowed is 0 to {name} = {value:g}")

@@ -1,4 +1,4 @@
-"""Plans as TOML: read with care, written so that it reads back the same."""
+"""Read plans in TOML, and write them so that they read back the same."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ MOST_CHARACTERS = 2**18
 
 
 def read_text(path: Path) -> str:
-    """A plan's text, without a byte order mark. Raises PlanError for a file that is not there or not UTF-8."""
+    """Return a plan's text without a byte order mark. Raises PlanError for a missing file or one not in UTF-8."""
     try:
         refuse_special(path)
         with path.open(encoding="utf-8-sig") as file:
@@ -47,7 +47,7 @@ def read_text(path: Path) -> str:
 
 
 def read_tables(text: str) -> dict[str, Any]:
-    """The tables in TOML. Raises PlanError that names the line."""
+    """Return the tables in TOML. Raises PlanError that names the line."""
     text = text.removeprefix("\ufeff")
     if len(text) > MOST_CHARACTERS:
         raise PlanError(f"has more than {MOST_CHARACTERS} characters: no plan is as long")
@@ -64,7 +64,7 @@ def read_tables(text: str) -> dict[str, Any]:
 
 
 def write_tables(tables: Mapping[str, Any]) -> str:
-    """TOML of tables and lists of tables whose values are plain."""
+    """Return TOML of tables and lists of tables whose values are plain."""
     blocks = []
     for name, value in tables.items():
         if isinstance(value, Mapping):
@@ -75,9 +75,10 @@ def write_tables(tables: Mapping[str, Any]) -> str:
 
 
 def plain(value: Any, *where: str) -> Any:
-    """A value as TOML has it: tables, lists, text and Python's own numbers; keys that hold None are left out.
+    """Return a value as TOML has it: tables, lists, text and Python's own numbers, without keys that hold None.
 
-    where: the keys that lead to it. Raises PlanError for integers of more than 64 bits and for what is too deep.
+    where: the keys that lead to the value. Raises PlanError for integers of more than 64
+    bits and for values nested too deeply.
     """
     if len(where) > DEEPEST:
         raise PlanError(
@@ -108,7 +109,7 @@ def plain(value: Any, *where: str) -> Any:
 
 
 def _place(words: str, text: str) -> str:
-    """An error of tomllib, the line that it names, and what may be meant there."""
+    """Return an error of tomllib with the line it names, and a hint."""
     at = re.search(r" \(at line (\d+),[^)]*\)$", words)
     lines = text.split("\n")
     if not at or int(at[1]) > len(lines):
