@@ -11,7 +11,7 @@ from time import perf_counter
 import numpy as np
 
 from labkit.estimation.climb import Problem, State, maximize
-from labkit.estimation.residual_tests import judge
+from labkit.estimation.residuals import judge
 from labkit.estimation.settings import SETTINGS
 from labkit.execute import default_workers, run_all
 from labkit.experiments.conditions import draw_trial, random_waves

@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 from labkit.analysis.observe import observe
 from labkit.estimation.local import Found, Guesses, Views, find_optima
 from labkit.estimation.observation import Observation
-from labkit.estimation.stated_optics import optics_of
+from labkit.estimation.stated import optics_of
 from labkit.imaging.optics import Optics
 from labkit.plan import Sensor
 from labkit.raw.decode import read_raw

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from labkit.errors import DataError, RawError, SessionError
-from labkit.estimation.stated_optics import optics_of
+from labkit.estimation.stated import optics_of
 from labkit.imaging.optics import Optics
 from labkit.imaging.parts import KNOWN, Part
 from labkit.plan import Plan

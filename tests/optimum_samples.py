@@ -14,7 +14,7 @@ from labkit.estimation.climb import NoisePrior, State
 from labkit.estimation.estimate import Estimate
 from labkit.estimation.local import Found, Optimum
 from labkit.estimation.observation import Observation
-from labkit.estimation.residual_tests import Verdict
+from labkit.estimation.residuals import Verdict
 from labkit.estimation.scores import ScoreTest
 from labkit.estimation.searches import Task
 from labkit.estimation.session import estimate

@@ -13,7 +13,6 @@ from labkit.estimation.climb import NoisePrior, Problem, Start, State
 from labkit.estimation.expansion import expand
 from labkit.estimation.identifiability import Bound, bound_of
 from labkit.estimation.likelihood import FrameData
-from labkit.estimation.parameter_names import parameter_names
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
@@ -158,7 +157,7 @@ class Setup:
         cone = len(optics.noll)
         free = np.delete(np.arange(len(expansion.information)), cone)
         bound = bound_of(
-            expansion.information[np.ix_(free, free)], parameter_names(state, optics.noll)
+            expansion.information[np.ix_(free, free)], state.parameter_names(optics.noll)
         )
         return ExpectedFit(bound, expansion.measured())
 

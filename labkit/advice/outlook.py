@@ -10,7 +10,7 @@ import numpy as np
 from labkit.advice.expected_fit import middle_mm
 from labkit.estimation.block_solve import Point
 from labkit.estimation.candidate import Measured, Reading
-from labkit.estimation.columns import (
+from labkit.estimation.laws import (
     COMMON_MODE,
     F_NUMBER,
     FOCAL_LENGTH,

@@ -38,8 +38,7 @@ from labkit.estimation.observation import Observation
 from labkit.estimation.searches import fit_task
 from labkit.estimation.session import estimate
 from labkit.estimation.split import Change, find_change
-from labkit.estimation.stated import Stated
-from labkit.estimation.stated_optics import wanted_parts
+from labkit.estimation.stated import Stated, wanted_parts
 from labkit.execute import Run, Workers, default_workers
 from labkit.finding import Finding, each_once
 from labkit.findings import found, unanswered

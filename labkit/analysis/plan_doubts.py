@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from math import exp
 
-from labkit.estimation.columns import (
+from labkit.estimation.laws import (
     F_NUMBER,
     FOCAL_LENGTH,
     PITCH,

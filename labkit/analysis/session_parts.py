@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from labkit.analysis.session_results import as_focus, as_wavefronts
-from labkit.estimation.columns import PART
 from labkit.estimation.estimate import Estimate
 from labkit.estimation.findings import (
     Moves,
@@ -16,6 +15,7 @@ from labkit.estimation.findings import (
     camera_parts_missing,
     stated_model_moves,
 )
+from labkit.estimation.laws import PART
 from labkit.estimation.lens_fit import LensFit
 from labkit.estimation.model_error import shift
 from labkit.finding import Finding

@@ -8,7 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from labkit.estimation.candidate import mostly_unexplained
-from labkit.estimation.columns import (
+from labkit.estimation.estimate import Estimate, LocalFit
+from labkit.estimation.findings import two_camps
+from labkit.estimation.laws import (
     CONE,
     F_NUMBER,
     FOCAL_LENGTH,
@@ -16,12 +18,10 @@ from labkit.estimation.columns import (
     RANGE_ZERO,
     WAVELENGTH,
 )
-from labkit.estimation.estimate import Estimate, LocalFit
-from labkit.estimation.findings import two_camps
 from labkit.estimation.lens_fit import LensFit
 from labkit.estimation.local import residuals
 from labkit.estimation.model_error import confirmed, shift
-from labkit.estimation.residual_spectrum import residual_frequencies
+from labkit.estimation.residuals import residual_frequencies
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.split import second_camp
 from labkit.finding import Finding

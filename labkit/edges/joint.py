@@ -18,8 +18,8 @@ import numpy as np
 
 from labkit.edges.region import EDGE_SIZE, Edge, Region, mean_and_slopes
 from labkit.estimation.climb import NoisePrior, Position, Step, climb, damped_step
-from labkit.estimation.counts import Slopes
 from labkit.estimation.identifiability import Bound, bound_of, inverse
+from labkit.estimation.likelihood import Slopes
 from labkit.imaging.optics import Optics
 from labkit.optics.wavefront import DEFOCUS
 from labkit.types import Floats

@@ -22,7 +22,7 @@ from labkit.edges.joint import (
 )
 from labkit.edges.region import EDGE_SIZE, Edge, Region, mean_and_slopes
 from labkit.errors import DataError
-from labkit.estimation.counts import NormalCounts
+from labkit.estimation.likelihood import NormalCounts
 from labkit.imaging.optics import Optics
 from labkit.optics.lens import blur_per_wave_um
 from labkit.optics.zernike import twin_signs

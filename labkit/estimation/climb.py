@@ -24,9 +24,11 @@ from labkit.estimation.settings import SETTINGS
 from labkit.imaging.model import Evaluation, ForwardModel
 from labkit.imaging.scene import Drawing
 from labkit.imaging.warp import POSE_SIZE, Pose
+from labkit.optics.zernike import mode_name
 from labkit.types import Floats
 
-PER_FRAME = POSE_SIZE + 2  # pose, scale, ambient
+OF_A_FRAME = (*(f"pose {i}" for i in range(POSE_SIZE)), "scale", "ambient light")
+PER_FRAME = len(OF_A_FRAME)
 NOISE = 2  # log gain, log read variance
 
 
@@ -212,6 +214,16 @@ class State:
             Detector(s, a, float(gain), float(read_variance), self.unevenness)
             for s, a in zip(self.scales, self.ambients, strict=True)
         ]
+
+    def parameter_names(self, noll: Sequence[int]) -> tuple[str, ...]:
+        """Name all parameters in the order of `moved`. noll: Noll's numbers of the modes."""
+        frames = [
+            f"{name} of frame {k + 1}"
+            for k in range(len(self.poses))
+            for name in OF_A_FRAME
+        ]
+        light = [f"unevenness {k + 1}" for k in range(self.unevenness.size)]
+        return (*map(mode_name, noll), *frames, *light, "log gain", "log read variance")
 
     def moved(self, step: Floats) -> State:
         """Return the state after a step in all parameters: modes; pose, scale, ambient of each frame; unevenness; noise."""

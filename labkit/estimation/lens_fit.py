@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from labkit.estimation.block_solve import Data, LeastSquares, Point, quadratic, solve
-from labkit.estimation.columns import CONE, GEOMETRY, LATERAL_COLOUR, OPEN, WAVELENGTH
+from labkit.estimation.laws import CONE, GEOMETRY, LATERAL_COLOUR, OPEN, WAVELENGTH
 from labkit.estimation.lens_model import LensModel
 from labkit.estimation.settings import SETTINGS
 from labkit.optics.known_bias import covariance_with_bias

@@ -16,7 +16,7 @@ from typing import cast
 import numpy as np
 
 from labkit.estimation.candidate import Reading
-from labkit.estimation.columns import (
+from labkit.estimation.laws import (
     AXIAL_COLOUR,
     COMMON_MODE,
     CONE,
@@ -35,9 +35,9 @@ from labkit.estimation.columns import (
     STEPS,
     WAVELENGTH,
     Column,
+    Laws,
     Name,
 )
-from labkit.estimation.laws import Laws
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import Stated
 from labkit.imaging.optics import ESTIMATED

@@ -13,8 +13,7 @@ from labkit.estimation.candidate import Candidate, Measured
 from labkit.estimation.climb import NoisePrior, Problem, Start, State, maximize
 from labkit.estimation.expansion import Freed, free_cone
 from labkit.estimation.likelihood import FrameData, predict
-from labkit.estimation.residual_spectrum import residual_spectrum
-from labkit.estimation.residual_tests import Verdict, judge
+from labkit.estimation.residuals import Verdict, judge, residual_spectrum
 from labkit.estimation.scores import ScoreTest, score_tests, twin_scores
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.sketches import Sketches

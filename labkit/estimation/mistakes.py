@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from labkit.estimation.columns import (
+from labkit.estimation.laws import (
     F_NUMBER,
     FOCAL_LENGTH,
     PITCH,

@@ -10,7 +10,7 @@ from labkit.estimation.expansion import with_modes
 from labkit.estimation.local import Guesses, Optimum
 from labkit.estimation.searches import Searches
 from labkit.estimation.settings import SETTINGS
-from labkit.estimation.stated_optics import optics_of
+from labkit.estimation.stated import optics_of
 from labkit.imaging.optics import Optics
 from labkit.imaging.parts import KNOWN
 from labkit.mode_groups import GROUPS

@@ -18,8 +18,7 @@ from labkit.estimation.refits import Refits, with_tests
 from labkit.estimation.searches import Searches
 from labkit.estimation.select import OUT, Selection, exact_lens, poor_model, select
 from labkit.estimation.settings import SETTINGS
-from labkit.estimation.stated import Stated
-from labkit.estimation.stated_optics import engraved_cone, optics_of, wanted_parts
+from labkit.estimation.stated import Stated, engraved_cone, optics_of, wanted_parts
 from labkit.execute import Run
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose

@@ -13,7 +13,7 @@ from time import process_time
 import numpy as np
 
 from labkit.estimation.climb import Problem, Solution, State, maximize
-from labkit.estimation.residual_tests import judge
+from labkit.estimation.residuals import judge
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.sketches import Sketches, sweep
 from labkit.estimation.small_problem import PhaseRetrieval, Retrieved

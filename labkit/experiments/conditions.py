@@ -9,7 +9,6 @@ from labkit.estimation.climb import NoisePrior, Problem, State
 from labkit.estimation.identifiability import bound_of
 from labkit.estimation.likelihood import FrameData
 from labkit.estimation.local import Found, Guesses, Views, find_optima
-from labkit.estimation.parameter_names import parameter_names
 from labkit.experiments.camera import Camera
 from labkit.experiments.methods.bounds import fisher_information
 from labkit.finder.find_target import find_target
@@ -73,7 +72,7 @@ class Trial:
         """Cramér-Rao bound of the wavefront, all modes together, at the truth; waves RMS. Computed anew each time."""
         there = self.state(self.waves)
         bound = bound_of(
-            fisher_information(self.problem, there, 6), parameter_names(there, self.noll)
+            fisher_information(self.problem, there, 6), there.parameter_names(self.noll)
         )
         return float(np.linalg.norm(bound.std[: len(self.noll)]))
 

@@ -9,7 +9,6 @@ from matplotlib.figure import Figure
 
 from labkit.estimation.climb import NoisePrior, Problem
 from labkit.estimation.identifiability import Bound, bound_of
-from labkit.estimation.parameter_names import parameter_names
 from labkit.experiments.conditions import (
     FRAME,
     GAIN,
@@ -55,7 +54,7 @@ def bounds(target: Target, trial: Trial, read_noises: Sequence[float]) -> list[B
             trial.waves
         )
         information = problem.scores(state, by_waves=True)[1]
-        bounds_.append(bound_of(information, parameter_names(state, trial.noll)))
+        bounds_.append(bound_of(information, state.parameter_names(trial.noll)))
     return bounds_
 
 

@@ -8,7 +8,6 @@ from matplotlib.figure import Figure
 
 from labkit.estimation.climb import Problem
 from labkit.estimation.identifiability import bound_of
-from labkit.estimation.parameter_names import parameter_names
 from labkit.experiments.conditions import AIRY_UM, FRAME, carpet, draw_trial, optics
 from labkit.experiments.methods.bounds import (
     bias_sensitivity,
@@ -41,7 +40,7 @@ def work(task: tuple[float, int]) -> Answer:
     state = trial.state(trial.waves)
     problem = Problem(model, (trial.frame,), trial.noise)
     bound = bound_of(
-        fisher_information(problem, state, 6), parameter_names(state, trial.noll)
+        fisher_information(problem, state, 6), state.parameter_names(trial.noll)
     )
     modes = len(trial.noll)
     return Answer(bound.covariance[:modes, :modes])

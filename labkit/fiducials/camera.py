@@ -14,7 +14,7 @@ from labkit.calibration.photon_transfer import (
 from labkit.edges.joint import LensPrior
 from labkit.edges.ranges import FOCI, ZERO, FocusLaw
 from labkit.estimation.climb import NoisePrior
-from labkit.estimation.stated_optics import optics_of
+from labkit.estimation.stated import optics_of
 from labkit.imaging.optics import Optics
 from labkit.imaging.parts import Part
 from labkit.measured_camera import optics_behind

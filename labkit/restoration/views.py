@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labkit.estimation.counts import NormalCounts
+from labkit.estimation.likelihood import NormalCounts
 from labkit.restoration.grid import SceneGrid
 from labkit.types import AnyComplexes, Bools, Complexes64, Floats
 

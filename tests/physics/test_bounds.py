@@ -11,7 +11,6 @@ from scipy.optimize import NonlinearConstraint, minimize
 from labkit.estimation.climb import Problem, maximize
 from labkit.estimation.identifiability import bound_of
 from labkit.estimation.likelihood import low_orders
-from labkit.estimation.parameter_names import parameter_names
 from labkit.experiments.conditions import NOLL, Trial, draw_trial
 from labkit.experiments.methods.bounds import (
     DETECTOR,
@@ -64,7 +63,7 @@ def test_so_it_is_with_several_frames_and_light_unknown(trial: Trial) -> None:
     np.testing.assert_allclose(
         lean * np.outer(scale, scale), whole * np.outer(scale, scale), atol=1e-10
     )
-    assert len(parameter_names(state, NOLL)) == len(lean)
+    assert len(state.parameter_names(NOLL)) == len(lean)
 
 
 def test_it_needs_less_memory_than_all_derivatives_at_once(trial: Trial) -> None:
@@ -89,7 +88,7 @@ def test_it_needs_less_memory_than_all_derivatives_at_once(trial: Trial) -> None
 def test_the_bound_at_the_thesis_conditions_is_the_published_one(
     trial: Trial, information: Floats
 ) -> None:
-    bound = bound_of(information, parameter_names(trial.state(trial.waves), NOLL))
+    bound = bound_of(information, trial.state(trial.waves).parameter_names(NOLL))
     assert bound.undetermined == ()
     # an independent calculation gives 0.0014 to 0.0018 waves over wavefronts; read noise is 0.79 here, 0.68 there
     assert 0.0012 < bound.rms(0, 12) < 0.0022

@@ -12,7 +12,7 @@ import pytest
 from labkit.estimation.climb import NoisePrior, Problem, State, maximize
 from labkit.estimation.identifiability import bound_of
 from labkit.estimation.likelihood import Detector, FrameData, low_orders, predict
-from labkit.estimation.residual_tests import judge
+from labkit.estimation.residuals import judge
 from labkit.experiments.methods.bounds import (
     bias_sensitivity,
     detector_information,

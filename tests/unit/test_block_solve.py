@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from labkit.estimation.block_solve import Data, Normal, Point, solve
-from labkit.estimation.columns import FOCUS, MAGNIFICATION
+from labkit.estimation.laws import FOCUS, MAGNIFICATION
 from labkit.estimation.lens_fit import LensFit, Measurements, first_point, fit_lens
 from labkit.estimation.lens_model import LensModel
 from labkit.estimation.settings import SETTINGS

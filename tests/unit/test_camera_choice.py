@@ -20,7 +20,7 @@ from labkit.estimation.camera import (
 )
 from labkit.estimation.local import Optimum
 from labkit.estimation.scores import ScoreTest
-from labkit.estimation.stated_optics import optics_of
+from labkit.estimation.stated import optics_of
 from labkit.results.model import PartTried
 from tests.optimum_samples import PLAN, optimum
 

@@ -13,7 +13,7 @@ from labkit.estimation.climb import Start
 from labkit.estimation.expansion import free_cone
 from labkit.estimation.scores import score_tests
 from labkit.estimation.settings import SETTINGS
-from labkit.estimation.stated_optics import optics_of, wanted_parts
+from labkit.estimation.stated import optics_of, wanted_parts
 from labkit.imaging.aperture import Aperture
 from labkit.imaging.estimated import root
 from labkit.imaging.model import ForwardModel

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from labkit.estimation.counts import NormalCounts
+from labkit.estimation.likelihood import NormalCounts
 
 MEAN = np.array([[-3.0, 0.5, 20.0], [300.0, 4000.0, 15000.0]])
 COUNTS = NormalCounts(

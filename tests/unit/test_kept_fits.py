@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from labkit import typed_file
-from labkit.estimation.residual_tests import Verdict
+from labkit.estimation.residuals import Verdict
 from labkit.kept_fits import SIGNATURE_BYTES, KeptFits
 
 HALF = np.arange(8.0)[::2]

@@ -11,8 +11,7 @@ import pytest
 from labkit.analysis.session_results import as_focus, budget
 from labkit.estimation.block_solve import Point
 from labkit.estimation.candidate import Observed
-from labkit.estimation.columns import FOCUS, MAGNIFICATION, RANGE_ZERO
-from labkit.estimation.laws import Laws
+from labkit.estimation.laws import FOCUS, MAGNIFICATION, RANGE_ZERO, Laws
 from labkit.estimation.lens_fit import LensFit, fit_lens
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import Stated

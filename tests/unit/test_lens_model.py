@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from labkit.estimation.candidate import Reading
-from labkit.estimation.columns import FOCUS, LATERAL_COLOUR, PITCH, WAVELENGTH
-from labkit.estimation.laws import Laws
+from labkit.estimation.laws import FOCUS, LATERAL_COLOUR, PITCH, WAVELENGTH, Laws
 from labkit.estimation.lens_model import LensModel
 from labkit.key import Key
 from labkit.types import Floats

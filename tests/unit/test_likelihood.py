@@ -16,7 +16,7 @@ from labkit.estimation.likelihood import (
     predict,
     score,
 )
-from labkit.estimation.residual_tests import judge
+from labkit.estimation.residuals import judge
 from labkit.estimation.settings import SETTINGS
 from labkit.imaging.model import Evaluation
 from labkit.types import Floats

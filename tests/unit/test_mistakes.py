@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from labkit.estimation.candidate import Measured, Observed
-from labkit.estimation.columns import (
+from labkit.estimation.laws import (
     F_NUMBER,
     FOCAL_LENGTH,
     MAGNIFICATION,

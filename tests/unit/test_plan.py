@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from labkit.errors import PlanError
-from labkit.estimation.stated_optics import optics_of
+from labkit.estimation.stated import optics_of
 from labkit.imaging.parts import (
     Blades,
     Diffusion,

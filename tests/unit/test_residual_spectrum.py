@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from labkit.estimation.likelihood import Detector, FrameData
-from labkit.estimation.residual_spectrum import (
+from labkit.estimation.residuals import (
     BINS,
     residual_frequencies,
     residual_spectrum,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from labkit.estimation.climb import NoisePrior, Problem, State
 from labkit.estimation.likelihood import FrameData
-from labkit.estimation.residual_tests import Verdict, judge
+from labkit.estimation.residuals import Verdict, judge
 from labkit.estimation.settings import SETTINGS
 from labkit.types import Floats
 

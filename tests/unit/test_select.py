@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from labkit.estimation.candidate import Candidate, Observed
-from labkit.estimation.columns import CONE, WAVELENGTH
+from labkit.estimation.laws import CONE, WAVELENGTH
 from labkit.estimation.lens_fit import LensFit
 from labkit.estimation.lens_model import LensModel
 from labkit.estimation.select import Options, Selection, _Choices, select

@@ -1,7 +1,7 @@
-"""Residual tests: an optimum is accepted as the global one if its residuals are noise alone.
+"""Residuals of an optimum: tests whether they are noise alone, and their power by spatial frequency.
 
 A wrong optimum leaves structure of two kinds, which are tested separately: more variance than the calibrated noise, and
-correlation between nearby pixels.
+correlation between nearby pixels. The power of noise alone is flat over all frequencies.
 """
 
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from scipy.special import chdtrc, ndtr
 
 from labkit.estimation.climb import Problem, State
 from labkit.estimation.identifiability import worse_than
-from labkit.estimation.likelihood import predict
+from labkit.estimation.likelihood import Detector, FrameData, predict
 from labkit.estimation.settings import SETTINGS
 from labkit.optics.zernike import mode_name
 from labkit.types import Floats
@@ -27,6 +27,7 @@ LAGS = (
     (2, 2),
     (2, -2),
 )  # rows and columns, in pixels
+BINS = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,3 +128,47 @@ def _product(image: Floats, lag: tuple[int, int]) -> Floats:
     rows, columns = image.shape
     here = image[: rows - down, max(0, -right) : columns - max(0, right)]
     return here * image[down:, max(0, right) : columns - max(0, -right)]
+
+
+def residual_frequencies(frames: Sequence[FrameData]) -> Floats:
+    """Return the frequencies of `residual_spectrum`, (BINS,) cycles per pixel: middles of evenly spaced rings."""
+    return (np.arange(BINS) + 0.5) * _highest(frames) / BINS
+
+
+def residual_spectrum(
+    frames: Sequence[FrameData], relative: Sequence[Floats], detectors: Sequence[Detector]
+) -> Floats:
+    """Compute the power of normalised residuals by spatial frequency.
+
+    Frequencies beyond the Nyquist frequency of a Bayer plane are aliases, and are left out.
+
+    Parameters
+    ----------
+    frames : counts, with calibration
+    relative : relative image (pixels,) of the used pixels of each frame
+    detectors : detector numbers of each frame
+
+    Returns
+    -------
+    (BINS,) power averaged over rings of frequencies and over frames; 1 for noise alone
+    """
+    highest, total = _highest(frames), np.zeros(BINS)
+    for frame, image, detector in zip(frames, relative, detectors, strict=True):
+        mean, variance = predict(image, frame, detector)
+        rest = np.zeros(frame.used.shape)
+        rest[frame.used] = (frame.counts[frame.used] - mean) / np.sqrt(variance)
+        power = np.abs(np.fft.fft2(rest)) ** 2 / mean.size
+        at = np.hypot(*np.meshgrid(*map(np.fft.fftfreq, rest.shape), indexing="ij"))
+        rings = np.digitize(at, np.linspace(0, highest, BINS + 1)) - 1
+        inside = rings < BINS
+        total += np.bincount(rings[inside], power[inside], BINS) / np.maximum(
+            np.bincount(rings[inside], minlength=BINS), 1
+        )
+    return total / len(frames)
+
+
+def _highest(frames: Sequence[FrameData]) -> float:
+    """Return the Nyquist frequency of the frames' pixels, cycles per pixel; a Bayer plane has half of the sensor's."""
+    rows, columns = np.nonzero(frames[0].used)
+    alone = frames[0].used.sum() < 0.6 * (np.ptp(rows) + 1) * (np.ptp(columns) + 1)
+    return 0.25 if alone else 0.5
