@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from labkit.devices.context import DeviceContext, Glass
-from labkit.devices.panels import paper_panel
 from labkit.devices.protocols import ClosesItself, PanelInfo, Picture, Shown
 from labkit.errors import PlanError
+from labkit.panel.panels import paper_panel
 from labkit.plan import Plan
 from labkit.target import open_target
 

@@ -26,8 +26,8 @@ from labkit.estimation.local import Found, Guesses, Views, find_optima
 from labkit.estimation.observation import Observation
 from labkit.estimation.stated import optics_of
 from labkit.imaging.optics import Optics
+from labkit.photographs.decoding import read_raw
 from labkit.plan import Sensor
-from labkit.raw.decode import read_raw
 from labkit.session.import_frames import import_frames
 from labkit.target import Target, open_target
 

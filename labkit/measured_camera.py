@@ -11,8 +11,8 @@ from labkit.errors import DataError, RawError, SessionError
 from labkit.estimation.stated import optics_of
 from labkit.imaging.optics import Optics
 from labkit.imaging.parts import KNOWN, Part
+from labkit.photographs.container import recognise
 from labkit.plan import Plan
-from labkit.raw.formats import recognise
 from labkit.results import Results, Wavefront
 from labkit.session.session import Session
 from labkit.uncertain import Uncertain

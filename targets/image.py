@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from labkit.errors import InputError, TargetError
-from labkit.images.files import read_picture
+from labkit.photographs.picture_file import read_picture
 from labkit.target import SURROUNDS, CellTarget
 from labkit.types import Floats
 

@@ -11,7 +11,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from docs.generators.markdown import code, directive, table
-from labkit.devices.panels import PANELS
+from labkit.panel.panels import PANELS
 from labkit.plan import Plan
 from labkit.plan.fields import what_it_takes
 from labkit.plan.tables import NEEDED

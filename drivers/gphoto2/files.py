@@ -10,8 +10,8 @@ import rawpy
 
 from labkit.drivers.gphoto2.link import IO, TIMEOUT, Trouble
 from labkit.errors import CameraError, RawError
-from labkit.raw.formats import recognise
-from labkit.raw.libraw import opened_raw
+from labkit.photographs.container import recognise
+from labkit.photographs.libraw import opened_raw
 
 SUFFIXES = (
     (b"ftypcrx", ".cr3"), (b"CR\x02", ".cr2"), (b"FUJIFILMCCD-RAW", ".raf"), (b"IIU\0", ".rw2"),

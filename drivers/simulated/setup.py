@@ -10,7 +10,6 @@ from dataclasses import replace
 import numpy as np
 
 from labkit.devices.context import DeviceContext
-from labkit.devices.panels import paper_panel, plan_panel
 from labkit.devices.shared import Lease
 from labkit.drivers.simulated.address import ordered
 from labkit.drivers.simulated.bench import MOST_AT_ONCE, Bench
@@ -23,6 +22,7 @@ from labkit.drivers.simulated.world import (
 )
 from labkit.errors import PlanError
 from labkit.pace import in_words
+from labkit.panel.panels import paper_panel, plan_panel
 from labkit.plan import Plan, RailSettings
 from labkit.target import open_target
 

@@ -11,13 +11,13 @@ from collections.abc import Callable
 from contextlib import ExitStack, closing
 
 from labkit.devices.context import DeviceContext, Glass
-from labkit.devices.panels import panel_info
 from labkit.devices.protocols import ClosesItself, PanelInfo, Picture, Shown
 from labkit.devices.test_patterns import pattern
 from labkit.drivers.web.address import parse_address, shared_server
 from labkit.drivers.web.monitor import Monitor
 from labkit.drivers.web.screen import Order, Report, Screen
 from labkit.errors import DisplayError, PlanError
+from labkit.panel.panels import panel_info
 from labkit.plan import Plan
 
 HOLD_S = 600.0

@@ -15,7 +15,7 @@ from labkit.devices.operator import Operator
 from labkit.drivers.web.preview import FrameSummary, look_at, summarise
 from labkit.finder.preview import Look
 from labkit.pace import Pace
-from labkit.raw.mosaic import Mosaic
+from labkit.photographs.photograph import Mosaic
 from labkit.types import FrameKind
 
 LOG_LINES, SHARPNESS_POINTS = 200, 60

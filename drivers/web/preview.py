@@ -8,7 +8,7 @@ import numpy as np
 
 from labkit.finder.preview import Look, jpeg
 from labkit.finder.sharpness import sharpest_edge_px
-from labkit.raw.mosaic import Mosaic
+from labkit.photographs.photograph import Mosaic
 from labkit.types import FrameKind
 
 BINS = 64

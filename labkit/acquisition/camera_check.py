@@ -23,10 +23,10 @@ from labkit.errors import CameraError, TargetError
 from labkit.filter_array import MONO
 from labkit.finder.find_target import find_target, grey_image
 from labkit.finder.sharpness import blur_px, sharpest_edge_px
+from labkit.photographs.decoding import read_raw
+from labkit.photographs.exposure import exposure_problem, pixel_noise
+from labkit.photographs.photograph import Mosaic
 from labkit.plan import Plan
-from labkit.raw.decode import read_raw
-from labkit.raw.frame_quality import exposure_problem, pixel_noise
-from labkit.raw.mosaic import Mosaic
 from labkit.target import open_target
 from labkit.types import Counts
 

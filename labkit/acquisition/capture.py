@@ -28,7 +28,6 @@ from labkit.acquisition.sequence import (
     shots,
 )
 from labkit.devices.context import Devices
-from labkit.devices.panel_image import PanelPicture
 from labkit.devices.protocols import Picture, RawFrame
 from labkit.errors import (
     DataError,
@@ -38,10 +37,11 @@ from labkit.errors import (
     PlanError,
     RawError,
 )
+from labkit.panel.picture import PanelPicture
+from labkit.photographs.decoding import read_raw
+from labkit.photographs.exposure import exposure_problem
+from labkit.photographs.photograph import Mosaic
 from labkit.plan import Plan
-from labkit.raw.decode import read_raw
-from labkit.raw.frame_quality import exposure_problem
-from labkit.raw.mosaic import Mosaic
 from labkit.session.session import EXPOSING, Session, begin
 from labkit.target import open_target
 from labkit.types import Progress, no_progress

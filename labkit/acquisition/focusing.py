@@ -16,9 +16,9 @@ from labkit.errors import TargetError
 from labkit.finder.find_target import find_target, grey_image, margin_px
 from labkit.finder.preview import Look
 from labkit.finder.sharpness import blur_px, sharpest_edge_px
+from labkit.photographs.decoding import read_raw
+from labkit.photographs.photograph import Mosaic
 from labkit.plan import Sensor
-from labkit.raw.decode import read_raw
-from labkit.raw.mosaic import Mosaic
 from labkit.target import open_target
 from labkit.types import Floats
 

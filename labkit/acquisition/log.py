@@ -9,7 +9,7 @@ from labkit.acquisition.sequence import Shot
 from labkit.devices.observer import Holding, Observer, Viewer
 from labkit.finder.preview import Look
 from labkit.pace import PAUSED
-from labkit.raw.mosaic import Mosaic
+from labkit.photographs.photograph import Mosaic
 from labkit.session.session import Session
 from labkit.types import Progress
 

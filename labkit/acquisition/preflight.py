@@ -19,7 +19,6 @@ import numpy as np
 
 from labkit.acquisition.log import CaptureLog
 from labkit.acquisition.patient import PatientDevices
-from labkit.devices.panel_image import PanelPicture
 from labkit.devices.protocols import Check, Checkable, Picture
 from labkit.errors import DataError, DeviceError, InputError, LabkitError, TargetError
 from labkit.files import write_atomically, writing
@@ -33,9 +32,10 @@ from labkit.optics.lens import (
     ground_sample_mm,
 )
 from labkit.optics.wavefront import FARTHEST_WAVES
+from labkit.panel.picture import PanelPicture
+from labkit.photographs.decoding import read_raw
+from labkit.photographs.exposure import exposure_problem
 from labkit.plan import Plan
-from labkit.raw.decode import read_raw
-from labkit.raw.frame_quality import exposure_problem
 from labkit.target import open_target
 from labkit.types import Floats
 

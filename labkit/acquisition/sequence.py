@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from labkit.devices.context import DeviceContext, Devices
-from labkit.devices.panel_image import PanelPicture, panel_picture
 from labkit.devices.protocols import Display, OnPaper
 from labkit.devices.registry import open_display
 from labkit.errors import PlanError
+from labkit.panel.picture import PanelPicture, panel_picture
 from labkit.plan import CameraSettings, Plan, RailSettings
 from labkit.session.session import Session
 from labkit.target import open_target

@@ -17,11 +17,11 @@ from labkit.advice.outlook import (
     outlook,
     propose_ranges,
 )
-from labkit.devices.panels import plan_panel
 from labkit.errors import DataError, PlanError
 from labkit.estimation.stated import Stated
 from labkit.key import Key
 from labkit.optics.wavefront import DEFOCUS
+from labkit.panel.panels import plan_panel
 from labkit.panel.target_pixels import panel_pixels
 from labkit.plan import Channel, Plan
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from labkit.advice.expected_fit import Setup
 from labkit.advice.outlook import NUMBERS, Outlook, Proposal
-from labkit.devices.panels import plan_panel
+from labkit.panel.panels import plan_panel
 from labkit.panel.stripe_contrast import LEAST_CONTRAST, stripe_contrast
 from labkit.plan import Channel, Plan
 from labkit.plan.sensor import BAYER

@@ -44,7 +44,12 @@ from labkit.finding import Finding, each_once
 from labkit.findings import found, unanswered
 from labkit.kept_fits import FOLDER, KeptFits
 from labkit.key import Key, same_range
-from labkit.panel.seen_pixels import PLAIN_CONTRAST, refuse_other_pixels, seen_pixels
+from labkit.panel.seen_pixels import (
+    PLAIN_CONTRAST,
+    TargetView,
+    refuse_other_pixels,
+    seen_pixels,
+)
 from labkit.panel.target_pixels import as_shown, pixels_per_cell
 from labkit.plan import Plan
 from labkit.results import Results, Wavefront
@@ -241,6 +246,18 @@ def _written(
     return replace(every[""], folder=folder)
 
 
+def first_view(observation: Observation) -> TargetView:
+    """Return the first photograph of an observation, for the search for a panel's pixels."""
+    frame, pose = observation.frames[0], observation.poses[0]
+    return TargetView(
+        observation.range_mm,
+        observation.channel,
+        frame.counts / frame.illumination,
+        frame.used,
+        pose.matrix,
+    )
+
+
 def _panel_findings(
     plan: Plan, target: Target, observations: Sequence[Observation]
 ) -> list[Finding]:
@@ -251,7 +268,8 @@ def _panel_findings(
     DataError : the pixels are so clear that every fit would be wrong
     PlanError : the pixels contradict the panel of the plan
     """
-    per_cell, seen = pixels_per_cell(plan, target), seen_pixels(observations, target)
+    views = [first_view(o) for o in observations]
+    per_cell, seen = pixels_per_cell(plan, target), seen_pixels(views, target)
     if seen is None:
         return []
     if plan.target.pixels is None or per_cell is None:

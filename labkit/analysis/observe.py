@@ -34,9 +34,9 @@ from labkit.imaging.warp import Pose
 from labkit.key import same_range
 from labkit.optics.lens import ThinLens, ground_sample_mm
 from labkit.panel.target_pixels import as_shown
+from labkit.photographs.decoding import read_raw
+from labkit.photographs.photograph import Mosaic
 from labkit.plan import Plan
-from labkit.raw.decode import read_raw
-from labkit.raw.mosaic import Mosaic
 from labkit.session.frame import Frame, distinct
 from labkit.session.session import Session
 from labkit.target import Target, open_target

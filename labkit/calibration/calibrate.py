@@ -19,8 +19,8 @@ from labkit.calibration.stack import read_stack, saturated
 from labkit.errors import DataError
 from labkit.finding import Finding, each_once
 from labkit.findings import flats_of_another_range
+from labkit.photographs.photograph import Cut, Mosaic
 from labkit.plan import Plan
-from labkit.raw.mosaic import Cut, Mosaic
 from labkit.session.frame import Frame
 from labkit.types import Bools, Floats, Floats32
 

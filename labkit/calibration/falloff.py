@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labkit.raw.mosaic import Cut
+from labkit.photographs.photograph import Cut
 from labkit.types import Floats, Floats32
 
 SAMPLES = 100  # along each side of the frame: light is smooth

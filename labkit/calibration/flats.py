@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from labkit.calibration.darks import Dark
-from labkit.calibration.lattice import repeating
 from labkit.calibration.masters import (
     Illumination,
     clipped_mean,
@@ -24,7 +23,8 @@ from labkit.calibration.photon_transfer import ROUNDING_VARIANCE, NoiseEstimate,
 from labkit.calibration.stack import Stack
 from labkit.finding import Finding
 from labkit.findings import flats_partly_unlit, found
-from labkit.raw.mosaic import Cut
+from labkit.panel.pattern_in_flats import repeating
+from labkit.photographs.photograph import Cut
 from labkit.types import Bools, Floats, Floats32
 
 LEAST_DEFECT = 0.05

@@ -9,9 +9,9 @@ import numpy as np
 
 from labkit.calibration.photon_transfer import Scatter, scatter_of
 from labkit.errors import DataError
+from labkit.photographs.decoding import read_raw
+from labkit.photographs.photograph import Mosaic
 from labkit.plan import Sensor
-from labkit.raw.decode import read_raw
-from labkit.raw.mosaic import Mosaic
 from labkit.session.frame import Frame
 from labkit.types import Bools, Counts, Floats, Floats32
 

@@ -18,10 +18,10 @@ from scipy.interpolate import PchipInterpolator
 
 from labkit.errors import DataError, RawError, TargetError
 from labkit.finder.find_target import find_target
-from labkit.images.encoding import srgb
-from labkit.images.files import Picture
-from labkit.raw.formats import recognise
-from labkit.raw.processed import read_file
+from labkit.photographs.container import recognise
+from labkit.photographs.encoding import srgb
+from labkit.photographs.picture_file import Picture
+from labkit.photographs.processed_picture import read_file
 from labkit.target import CellTarget, open_target
 from labkit.types import Floats
 

@@ -18,7 +18,7 @@ def studies(incomplete: str) -> list[str]:
 
 def panels(incomplete: str) -> list[str]:
     """Return the names of known panels."""
-    from labkit.devices.panels import PANELS
+    from labkit.panel.panels import PANELS
 
     return _begin(incomplete, PANELS)
 

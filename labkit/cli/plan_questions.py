@@ -11,10 +11,10 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from labkit.devices.panel_image import panel_picture
-from labkit.devices.panels import PANELS, panel_info
 from labkit.devices.registry import installed
 from labkit.errors import LabkitError, PlanError, shown
+from labkit.panel.panels import PANELS, panel_info
+from labkit.panel.picture import panel_picture
 from labkit.plan import DisplaySettings, Plan
 from labkit.plan.messages import message, plain_number
 from labkit.plan.tables import BY_HAND, NEEDED

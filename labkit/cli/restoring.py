@@ -16,7 +16,7 @@ from labkit.errors import DataError, SessionError
 
 if TYPE_CHECKING:
     from labkit.restoration.job import Area
-    from labkit.restoring.restore import Wanted
+    from labkit.restoration.restore import Wanted
     from labkit.results import Results
     from labkit.session.session import Session
 
@@ -129,7 +129,7 @@ def restore(
     """Restore the scene behind photographs. By a session's lens, with standard errors."""
     a_file_or_session(*photographs, psf)
     from labkit.execute import default_workers
-    from labkit.restoring.restore import Wanted
+    from labkit.restoration.restore import Wanted
 
     if method not in METHODS:
         raise DataError(f"--method {method}: allowed is {', '.join(METHODS)}")
@@ -159,7 +159,7 @@ def _restored(
     wanted: Wanted,
 ) -> None:
     """Restore each range's photographs into a folder, and say so."""
-    from labkit.restoring.restore import restore_images, restore_session
+    from labkit.restoration.restore import restore_images, restore_session
     from labkit.results import Results
 
     if psf is None and not (len(photographs) == 1 and photographs[0].is_dir()):

@@ -7,7 +7,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from labkit.devices.operator import AnswerPage
 from labkit.finder.preview import Look
-from labkit.raw.mosaic import Mosaic
+from labkit.photographs.photograph import Mosaic
 from labkit.types import FrameKind
 
 

@@ -19,6 +19,8 @@ from typing import Any, Literal, Protocol, Self, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from labkit.panel.panel_info import PanelInfo as PanelInfo
+
 Picture = Literal["white", "black"] | NDArray[np.uint8]
 """What a display shows: all of the panel in one grey, or grey values of panel pixels, centred, black around them."""
 
@@ -83,25 +85,6 @@ class Travel:
     def __post_init__(self) -> None:
         if not self.low_mm < self.high_mm:
             raise ValueError(f"empty travel: {self}")
-
-
-@dataclass(frozen=True, slots=True)
-class PanelInfo:
-    """A display's glass: (height, width) in pixels, the pitch of its square pixels, how a pixel's colours lie."""
-
-    pixels: tuple[int, int]
-    pitch_mm: float
-    subpixels: Literal["rgb", "none"] = "rgb"
-    gamma: float = 2.2
-
-    def __post_init__(self) -> None:
-        if not (min(self.pixels) > 0 and self.pitch_mm > 0 and self.gamma > 0):
-            raise ValueError(f"a panel has pixels, a pitch and a gamma above 0: {self}")
-
-    @property
-    def size_mm(self) -> tuple[float, float]:
-        """(height, width) of the lit area."""
-        return self.pixels[0] * self.pitch_mm, self.pixels[1] * self.pitch_mm
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,12 +9,12 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 
 from labkit.devices.context import DeviceContext
-from labkit.devices.panel_image import panel_picture
-from labkit.devices.panels import PANELS
 from labkit.devices.protocols import Display, Picture
 from labkit.devices.registry import observers_of
 from labkit.devices.test_patterns import PATTERNS, pattern
 from labkit.errors import DisplayError, PlanError
+from labkit.panel.panels import PANELS
+from labkit.panel.picture import panel_picture
 from labkit.plan import DisplaySettings, Plan
 from labkit.target import Target
 

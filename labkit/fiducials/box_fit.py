@@ -20,8 +20,8 @@ from labkit.edges.search import (
     rough_edge,
 )
 from labkit.errors import DataError, FitError
-from labkit.fiducials.camera import Camera
-from labkit.fiducials.photographs import Photograph, Place, region_of, samples_by_plane
+from labkit.edges.camera import Camera
+from labkit.edges.photographs import Photograph, Place, region_of, samples_by_plane
 
 DIFFERENT = 6.0  # standard errors of a difference of defocus between an edge's halves
 DIFFERENT_WAVES, DIFFERENT_SHARE = (

@@ -9,7 +9,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from labkit.edges.find import Box
-from labkit.fiducials.outcome import EdgesOutcome, MeasuredEdge
+from labkit.edges.outcome import EdgesOutcome, MeasuredEdge
 from labkit.report.style import INK, SOFT, WIDTH_IN
 from labkit.types import Floats
 

@@ -15,24 +15,24 @@ from labkit.edges.ranges import AS_LIKELY, EdgeRange, FocusLaw, edge_range
 from labkit.edges.response import fitted_response
 from labkit.errors import DataError
 from labkit.execute import Workers, default_workers
-from labkit.fiducials.box_fit import BoxFit, BoxTask, box_task, fit_box
-from labkit.fiducials.camera import Camera, camera_of, focus_law
-from labkit.fiducials.one_range import contradicting
-from labkit.fiducials.outcome import (
+from labkit.edges.box_fit import BoxFit, BoxTask, box_task, fit_box
+from labkit.edges.camera import Camera, camera_of, focus_law
+from labkit.edges.one_range import contradicting
+from labkit.edges.outcome import (
     ChannelEdge,
     EdgesOutcome,
     MeasuredEdge,
     RejectedEdge,
     box_words,
 )
-from labkit.fiducials.photographs import (
+from labkit.edges.photographs import (
     Photograph,
     Place,
     checked_box,
     find_places,
     read_all,
 )
-from labkit.fiducials.standing import Standing, correlation, standings
+from labkit.edges.standing import Standing, correlation, standings
 from labkit.measured_camera import check_same_camera
 from labkit.plan import Plan, leading_channel
 from labkit.results import Results

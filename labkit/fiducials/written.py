@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from labkit.errors import TargetError
-from labkit.fiducials.depth_map import draw_depth_map
-from labkit.fiducials.outcome import EdgesOutcome
+from labkit.edges.depth_map import draw_depth_map
+from labkit.edges.outcome import EdgesOutcome
 from labkit.files import write_atomically, writing
 from labkit.finder.find_target import grey_image
+from labkit.photographs.decoding import read_raw
 from labkit.plan import Plan
-from labkit.raw.decode import read_raw
 from labkit.report.style import png, styled
 from labkit.types import Floats
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from labkit.imaging.warp import Pose
-from labkit.raw.mosaic import Cut
+from labkit.photographs.photograph import Cut
 from labkit.types import Bools, Floats
 
 MARGIN = 0.06

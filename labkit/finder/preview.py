@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labkit.filter_array import IN_COLOURS
-from labkit.raw.mosaic import Mosaic
+from labkit.photographs.photograph import Mosaic
 from labkit.types import Floats
 
 PREVIEW_PX = 900

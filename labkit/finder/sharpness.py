@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from labkit.errors import TargetError
 from labkit.finder.find_target import grey_image
-from labkit.raw.mosaic import Mosaic
+from labkit.photographs.photograph import Mosaic
 from labkit.target import Target
 from labkit.types import Counts, Floats
 

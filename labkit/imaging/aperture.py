@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Self
 
 from labkit.imaging.estimated import Estimated
-from labkit.panel_target import USUAL_APERTURE
+from labkit.panel.drawn_target import USUAL_APERTURE
 from labkit.plan import Channel, Plan
 from labkit.uncertain import Uncertain
 
@@ -17,7 +17,7 @@ LEAST = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Aperture(Estimated):
-    """Shares of its width and of its length by which more of a stripe is lit than usual: `labkit.panel_target`.
+    """Shares of its width and of its length by which more of a stripe is lit than usual: `labkit.panel.drawn_target`.
 
     `labkit.imaging.scene` draws the target by it; the transfer function does not depend on it.
     """

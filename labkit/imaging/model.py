@@ -18,7 +18,7 @@ from labkit.imaging.shine import Shine
 from labkit.imaging.warp import POSE_SIZE, Pose
 from labkit.imaging.window import WINDOW_AIRY
 from labkit.optics.psf import Pupil
-from labkit.panel_target import PanelTarget
+from labkit.panel.drawn_target import PanelTarget
 from labkit.target import Target
 from labkit.types import AnyComplexes, Bools, Complexes64, Floats, Floats32
 

@@ -10,7 +10,7 @@ from labkit.imaging import spline
 from labkit.imaging.grid import Torus
 from labkit.imaging.shine import Shine
 from labkit.imaging.warp import Pose
-from labkit.panel_target import PanelTarget
+from labkit.panel.drawn_target import PanelTarget
 from labkit.target import Target
 from labkit.types import Complexes64, Floats, Floats32
 

@@ -1,1 +1,1 @@
-"""A display's own pixels: targets drawn in pixels, and pixels detected in photographs."""
+"""A display's panel: its pixels, targets drawn in them, and what photographs show of them."""

@@ -14,7 +14,6 @@ import cv2
 import numpy as np
 
 from labkit.errors import PlanError
-from labkit.estimation.observation import Observation
 from labkit.finding import Finding
 from labkit.findings import found
 from labkit.panel.stripe_contrast import LEAST_CONTRAST
@@ -113,8 +112,27 @@ def refuse_other_pixels(stated: TargetPixels, per_cell: int, seen: SeenPixels) -
         )
 
 
-def seen_pixels(observations: Sequence[Observation], target: Target) -> SeenPixels | None:
-    """Detect a panel's pixels in all observations together.
+@dataclass(frozen=True, eq=False)
+class TargetView:
+    """A photograph of the target in one colour.
+
+    Attributes
+    ----------
+    range_mm, channel : range and colour
+    light : (rows, columns) counts over illumination
+    used : (rows, columns), True for usable pixels of the channel
+    to_pixels : (3, 3) homography from (y, x, 1), in half sides of the target, to (row, column, 1)
+    """
+
+    range_mm: float | None
+    channel: str
+    light: Floats
+    used: Bools
+    to_pixels: Floats
+
+
+def seen_pixels(views: Sequence[TargetView], target: Target) -> SeenPixels | None:
+    """Detect a panel's pixels in all photographs together.
 
     Returns
     -------
@@ -122,7 +140,7 @@ def seen_pixels(observations: Sequence[Observation], target: Target) -> SeenPixe
     """
     if not isinstance(target, CellTarget):
         return None
-    found = [_waves(o, target) for o in observations]
+    found = [_waves(view, target) for view in views]
     most = min((waves.shape[1] for waves, _ in found), default=0)
     if not most:
         return None
@@ -136,8 +154,8 @@ def seen_pixels(observations: Sequence[Observation], target: Target) -> SeenPixe
     if contrast < max(LEAST_CONTRAST, BEYOND_NOISE * noise):
         return None
     phases = [
-        (o.range_mm, o.channel, waves[axis, number])
-        for o, (waves, _) in zip(observations, found, strict=True)
+        (view.range_mm, view.channel, waves[axis, number])
+        for view, (waves, _) in zip(views, found, strict=True)
     ]
     return SeenPixels(
         target.cell_mm[axis] / (number + 1),
@@ -163,32 +181,31 @@ def _layout(waves: Sequence[tuple[float | None, str, complex]], axis: int) -> st
     return f"{order}-{'rows' if axis == 0 else 'stripes'}"
 
 
-def _waves(o: Observation, target: CellTarget) -> tuple[Complexes, float]:
-    """Measure patterns of 1 to n pixels per cell, along rows and columns of the target, in an observation's first frame.
+def _waves(view: TargetView, target: CellTarget) -> tuple[Complexes, float]:
+    """Measure patterns of 1 to n pixels per cell, along rows and columns of the target.
 
     Returns
     -------
     amplitudes (2, n) relative to white; standard error of an amplitude
     """
-    frame, pose = o.frames[0], o.poses[0]
-    down, right = (np.asarray(index, float) for index in np.indices(frame.counts.shape))
-    white = _white(target, *pose.to_target(down, right)) & frame.used
-    rows, cols = pose.pixel_per_unit()
-    per_px = [
-        n / (2 * scale) for n, scale in zip(target.cells.shape, (rows, cols), strict=True)
-    ]  # cells
-    most = int(FASTEST / max(per_px))
+    down, right = (np.asarray(index, float) for index in np.indices(view.light.shape))
+    to_target = np.linalg.inv(view.to_pixels)
+    y, x, w = (a * down + b * right + c for a, b, c in to_target)
+    white = _white(target, y / w, x / w) & view.used
+    per_unit = view.to_pixels[:2, :2] - np.outer(
+        view.to_pixels[:2, 2], view.to_pixels[2, :2]
+    )
+    per_px = np.array(target.cells.shape) / (2 * np.hypot(*per_unit))  # cells at the middle
+    most = int(FASTEST / per_px.max())
     if white.sum() < LEAST_PIXELS or not most:
         return np.zeros((2, 0), complex), 0.0
-    light = frame.counts / frame.illumination
     y, x = (index[white] - index[white].mean() for index in (down, right))
     trend = np.stack([np.ones(y.size), y, x, y * x, y**2, x**2], axis=1)
-    values = light[white]
+    values = view.light[white]
     smooth = trend @ np.linalg.lstsq(trend, values, rcond=None)[0]
-    picture = np.zeros(frame.counts.shape)
+    picture = np.zeros(view.light.shape)
     picture[white] = values / smooth - 1
     # cycles a pixel of the frame for one cycle to a cell, along the target's axes at its middle
-    to_target = np.linalg.inv(pose.matrix)
     middle = np.linalg.solve(to_target, np.array([0.0, 0.0, 1.0]))
     middle = middle / middle[2]
     scale = float(to_target[2] @ middle)

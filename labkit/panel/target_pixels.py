@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from labkit.devices.panel_image import whole_pixels
-from labkit.devices.panels import panel_pitch_mm
 from labkit.errors import PlanError, TargetError
-from labkit.panel_target import PanelTarget
+from labkit.panel.drawn_target import PanelTarget
+from labkit.panel.panels import panel_pitch_mm
+from labkit.panel.picture import whole_pixels
 from labkit.plan import Plan
 from labkit.plan.plan import COLOUR_WORDS
 from labkit.target import CellTarget, Target

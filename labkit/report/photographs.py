@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from labkit.errors import LabkitError
-from labkit.raw.decode import read_raw
-from labkit.raw.exif import Exif, read_exif
+from labkit.photographs.decoding import read_raw
+from labkit.photographs.exif import Exif, read_exif
 from labkit.report.quantities import UNKNOWN, fixed, when
 from labkit.report.table import Column, Row, Table
 from labkit.results import Results, Wavefront

@@ -24,9 +24,9 @@ from labkit.restoration.job import Area, Colour, Job, Photograph
 from labkit.restoration.registration import refined, registered
 from labkit.restoration.strength import Choice
 from labkit.restoration.tiles import Picture, memory_bytes, restore_job
-from labkit.restoring import output
-from labkit.restoring.lens import nearest, waves_at
-from labkit.restoring.photographs import (
+from labkit.restoration import output
+from labkit.restoration.lens import nearest, waves_at
+from labkit.restoration.photographs import (
     Shot,
     own_exif,
     period_of,
@@ -35,7 +35,7 @@ from labkit.restoring.photographs import (
     refuse_other_camera,
     with_motion,
 )
-from labkit.restoring.unknowns import doubts, with_own_noise
+from labkit.restoration.unknowns import doubts, with_own_noise
 from labkit.results import Results, Wavefront
 from labkit.session.session import Session
 from labkit.types import Floats, Floats32, Progress, no_progress

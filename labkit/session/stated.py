@@ -9,8 +9,8 @@ from pathlib import Path
 
 from labkit.finding import Finding
 from labkit.findings import found
+from labkit.photographs.exif import Exif, read_exif
 from labkit.plan import Plan
-from labkit.raw.exif import Exif, read_exif
 from labkit.types import FrameKind
 
 FOCAL_LENGTH_TOLERANCE = 0.03

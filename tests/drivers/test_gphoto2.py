@@ -31,8 +31,8 @@ from labkit.drivers.gphoto2.camera import Gphoto2Camera, find_cameras
 from labkit.drivers.gphoto2.link import Link
 from labkit.drivers.simulated.dng import RawTags, write_raw
 from labkit.errors import CameraError, DeviceError, DeviceTimeoutError, PlanError
+from labkit.photographs.decoding import read_raw
 from labkit.plan import Plan, Sensor
-from labkit.raw.decode import read_raw
 from tests.plans import SMALL, plan_text
 
 gphoto2 = pytest.importorskip("gphoto2")

@@ -11,11 +11,11 @@ from labkit.acquisition.capture import run_plan
 from labkit.acquisition.sequence import shown_picture
 from labkit.devices.context import DeviceContext, Glass
 from labkit.devices.operator import Operator, Wants
-from labkit.devices.panels import paper_panel
 from labkit.devices.protocols import PanelInfo, Picture
 from labkit.devices.registry import open_devices, open_display
 from labkit.drivers.manual_display import SHEET, TARGET, ManualDisplay
 from labkit.errors import DeviceError, PlanError
+from labkit.panel.panels import paper_panel
 from labkit.plan import Plan
 from labkit.session.session import Session, begin
 from labkit.target import open_target

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from labkit.devices.panel_image import panel_picture
 from labkit.devices.test_patterns import PATTERNS, pattern
 from labkit.drivers.web.display import WebDisplay
 from labkit.drivers.web.server import NOT_UNDERSTOOD, TOO_LONG
 from labkit.errors import DisplayError
+from labkit.panel.picture import panel_picture
 from labkit.plan import TargetSpec
 from labkit.target import open_target
 

@@ -16,7 +16,6 @@ import pytest
 from labkit.acquisition.capture import run_plan
 from labkit.devices.context import DeviceContext, Devices
 from labkit.devices.operator import Operator
-from labkit.devices.panel_image import panel_picture
 from labkit.devices.protocols import Picture, Shown
 from labkit.devices.registry import open_camera, open_rail
 from labkit.devices.serve_target import CHOICES, serve_target
@@ -27,9 +26,10 @@ from labkit.drivers.web.monitor import Monitor
 from labkit.drivers.web.preview import BINS, exposure, histogram
 from labkit.finder.preview import Look
 from labkit.finder.sharpness import sharpest_edge_px
+from labkit.panel.picture import panel_picture
+from labkit.photographs.decoding import read_raw
+from labkit.photographs.photograph import Mosaic
 from labkit.plan import Plan, TargetSpec
-from labkit.raw.decode import read_raw
-from labkit.raw.mosaic import Mosaic
 from labkit.session.session import Session, begin
 from labkit.target import open_target
 

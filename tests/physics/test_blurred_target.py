@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.random_sessions import draw_with_parts, make
 from labkit.finder.find_target import find_target, grey_image
-from labkit.raw.decode import read_raw
+from labkit.photographs.decoding import read_raw
 from labkit.target import open_target
 
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from labkit.calibration.calibrate import Calibration, calibrate, channel_data
 from labkit.finder.find_target import find_target, grey_image
+from labkit.photographs.decoding import read_raw
 from labkit.plan import Plan
-from labkit.raw.decode import read_raw
 from labkit.session.session import Session
 from labkit.target import open_target
 

@@ -10,7 +10,7 @@ import pytest
 from labkit.errors import TargetError
 from labkit.imaging.aperture import Aperture
 from labkit.imaging.model import ForwardModel
-from labkit.panel_target import PanelTarget
+from labkit.panel.drawn_target import PanelTarget
 from labkit.target import CellTarget, low_pass
 from labkit.types import Floats
 from tests.unit.test_cone import CARPET, OPTICS, POSE, TRUTH

@@ -22,8 +22,8 @@ from labkit.errors import (
     RailError,
     SessionError,
 )
+from labkit.photographs.decoding import read_raw
 from labkit.plan import Plan
-from labkit.raw.decode import read_raw
 from labkit.session.session import Session, begin
 from labkit.session.verify import verify
 

@@ -15,7 +15,7 @@ import pytest
 from labkit.acquisition.capture import run_plan
 from labkit.acquisition.sequence import missing
 from labkit.devices.registry import open_devices
-from labkit.raw.decode import read_raw
+from labkit.photographs.decoding import read_raw
 from labkit.session.session import Session, begin
 from labkit.session.verify import remarks, verify
 

@@ -21,8 +21,8 @@ import pytest
 import labkit
 from benchmarks.claims import CLAIMS, limit
 from labkit.cli import run
+from labkit.photographs.decoding import read_raw
 from labkit.plan import Plan
-from labkit.raw.decode import read_raw
 from labkit.types import Floats
 from tests.golden.measure import errors, import_and_fit
 from tests.golden.simulate import (

@@ -24,8 +24,8 @@ from labkit.finder.find_target import find_target, grey_image
 from labkit.finder.preview import Look
 from labkit.finder.sharpness import blur_px, edge_px
 from labkit.optics.lens import ThinLens, circle_of_confusion_mm
+from labkit.photographs.decoding import read_raw
 from labkit.plan import Plan
-from labkit.raw.decode import read_raw
 from labkit.session.session import Session, begin
 from labkit.session.verify import remarks, verify
 from labkit.target import open_target

@@ -12,7 +12,7 @@ from labkit.acquisition.capture import run_plan
 from labkit.analysis.fit import fit
 from labkit.calibration.calibrate import calibrate
 from labkit.devices.registry import open_devices
-from labkit.raw.decode import read_raw
+from labkit.photographs.decoding import read_raw
 from labkit.results import Results
 from labkit.session.import_frames import import_frames
 from labkit.session.session import Session

@@ -290,8 +290,8 @@ def test_an_aperture_other_than_the_sessions_is_refused_unless_forced(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    from labkit.raw.exif import Exif
-    from labkit.restoring import photographs
+    from labkit.photographs.exif import Exif
+    from labkit.restoration import photographs
 
     image, out = photograph(tmp_path / "a.tif"), tmp_path / "out"
     monkeypatch.setattr(

@@ -33,8 +33,8 @@ from labkit.drivers.gphoto2.link import Link
 from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.dng import RawTags, write_raw
 from labkit.errors import DeviceError
+from labkit.photographs.decoding import read_raw
 from labkit.plan import Plan
-from labkit.raw.decode import read_raw
 from labkit.session.session import Session, begin
 from labkit.session.verify import verify
 from tests.plans import IPAD, PORTRAIT, plan_text, simulated

@@ -11,10 +11,10 @@ from PIL import Image
 from scipy.stats import norm
 
 from labkit.errors import DataError
+from labkit.photographs.alterations import Alterations, alterations, edge_overshoot
+from labkit.photographs.decoding import read_raw
+from labkit.photographs.photograph import Mosaic
 from labkit.plan import Sensor
-from labkit.raw.altered_picture import Alterations, alterations, edge_overshoot
-from labkit.raw.decode import read_raw
-from labkit.raw.mosaic import Mosaic
 from labkit.session.import_frames import import_frames
 from labkit.types import Floats
 from tests.plans import PORTRAIT, plan_text

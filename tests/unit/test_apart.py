@@ -17,8 +17,8 @@ import pytest
 from labkit import apart
 from labkit.apart import run_apart
 from labkit.errors import InputError, RawError
+from labkit.photographs.decoding import read_raw
 from labkit.plan import Sensor
-from labkit.raw.decode import read_raw
 from labkit.types import Floats
 
 FILE = Path(__file__)

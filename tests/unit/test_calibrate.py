@@ -14,7 +14,7 @@ from labkit.calibration.calibrate import Calibration, ChannelData, calibrate, ch
 from labkit.calibration.masters import clipped_mean, shrunk, smooth_illumination
 from labkit.errors import DataError, RawError
 from labkit.finding import Finding
-from labkit.raw.decode import read_raw
+from labkit.photographs.decoding import read_raw
 from labkit.session.frame import Frame
 from labkit.types import Floats
 from tests.sensor import COLOURS, GAIN, PRNU, READ_NOISE, SHAPE, Bench, light_at

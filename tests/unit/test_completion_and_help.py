@@ -15,8 +15,8 @@ import typer
 
 from labkit.cli import bench, run, sessions
 from labkit.cli.app import app
-from labkit.devices.panels import PANELS
 from labkit.experiments.studies import STUDIES
+from labkit.panel.panels import PANELS
 from tests.plans import RED_AND_GREEN, SMALL, plan_text
 
 assert bench

@@ -5,7 +5,7 @@ import pytest
 
 from labkit.edges.esfr import Esfr
 from labkit.edges.response import FittedResponse
-from labkit.fiducials.outcome import ChannelEdge
+from labkit.edges.outcome import ChannelEdge
 from labkit.uncertain import Uncertain
 
 NOTHING = Uncertain(0.0, 0.0)

@@ -12,8 +12,8 @@ from PIL.ExifTags import IFD, Base
 
 from labkit.cli import run
 from labkit.drivers.simulated.dng import RawTags, write_raw
+from labkit.photographs.exif import Exif, read_exif
 from labkit.plan import Plan
-from labkit.raw.exif import Exif, read_exif
 from labkit.session.stated import contradictions, stops_between
 from tests.dng import write_dng
 from tests.plans import PORTRAIT, plan_text

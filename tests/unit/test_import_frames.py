@@ -13,8 +13,8 @@ import pytest
 from numpy.typing import NDArray
 
 from labkit.errors import InputError, SessionError, TargetError
+from labkit.photographs.decoding import read_raw
 from labkit.plan import Plan
-from labkit.raw.decode import read_raw
 from labkit.session.import_frames import import_frames
 from labkit.session.session import Session
 from labkit.session.verify import verify

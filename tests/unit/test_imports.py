@@ -15,25 +15,24 @@ ROOMS = [
     ["files", "arrays", "filter_array", "npz", "sharing", "user_state"],
     ["typed_file"],
     ["apart"],
-    ["images"],
     ["plan"],
+    ["photographs"],
     ["target"],
-    ["target_file", "panel_target"],
+    ["target_file"],
     ["execute"],
     ["kept_fits"],
     ["optics"],
+    ["panel"],
     ["results"],
     ["imaging"],
     ["estimation"],
     ["restoration"],
-    ["raw"],
     ["session"],
     ["report"],
     ["finder", "edges"],
     ["calibration"],
     ["devices"],
     ["acquisition"],
-    ["panel"],
     ["analysis"],
     ["measured_camera", "advice"],
     ["restoring"],
@@ -154,7 +153,7 @@ def test_a_target_needs_only_the_plan_and_the_target_protocol(path: Path) -> Non
         None,
         "arrays",
         "errors",
-        "images",
+        "photographs",
         "plan",
         "target",
         "targets",
@@ -186,7 +185,7 @@ def reached(start: Path) -> set[str]:
     todo = [start]
     while todo:
         for dotted in imported(todo.pop()):
-            # "labkit.raw.mosaic.Mosaic" is a name in the module labkit.raw.mosaic
+            # "labkit.photographs.photograph.Mosaic" is a name in the module labkit.photographs.photograph
             module = next(
                 (m for m in (dotted, dotted.rpartition(".")[0]) if m in DOTTED), dotted
             )
@@ -198,9 +197,11 @@ def reached(start: Path) -> set[str]:
 
 def test_devices_reach_no_raw_decoding() -> None:
     for path in modules("labkit/devices"):
-        assert {"rawpy", "labkit.raw.decode", "labkit.raw.formats"} & reached(
-            path
-        ) == set(), name(path)
+        assert {
+            "rawpy",
+            "labkit.photographs.decoding",
+            "labkit.photographs.container",
+        } & reached(path) == set(), name(path)
 
 
 def test_no_driver_reaches_a_simulator() -> None:
@@ -215,7 +216,7 @@ def test_the_mathematics_reaches_no_session_and_no_device() -> None:
     for path in modules(*MATHEMATICS):
         below = {
             "session",
-            "raw",
+            "photographs",
             "devices",
             "acquisition",
             "drivers",

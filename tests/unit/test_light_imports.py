@@ -67,7 +67,12 @@ def session(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize(
     "module",
-    ["labkit.report.html", "labkit.results", "labkit.session.session", "labkit.raw.decode"],
+    [
+        "labkit.report.html",
+        "labkit.results",
+        "labkit.session.session",
+        "labkit.photographs.decoding",
+    ],
 )
 def test_an_import_loads_no_device_no_decoder_and_no_estimate(module: str) -> None:
     modules = loaded_by(f"import {module}")

@@ -14,7 +14,7 @@ import tifffile
 from PIL import Image
 
 from labkit.errors import InputError
-from labkit.images.files import read_picture
+from labkit.photographs.picture_file import read_picture
 from labkit.plan import Plan
 from labkit.session.import_frames import Row, read_rows
 from tests.mutations import NASTY, mutated

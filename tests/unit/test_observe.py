@@ -15,9 +15,9 @@ from labkit.analysis.observe import observe
 from labkit.errors import DataError
 from labkit.estimation.observation import Observation
 from labkit.key import Key
+from labkit.photographs.decoding import read_raw
+from labkit.photographs.photograph import Mosaic
 from labkit.plan import Plan, Sensor
-from labkit.raw.decode import read_raw
-from labkit.raw.mosaic import Mosaic
 from labkit.target import open_target
 from tests.sensor import BLACK, Bench, light_at
 

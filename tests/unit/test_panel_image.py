@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labkit.devices.panel_image import panel_picture
-from labkit.devices.panels import PANELS, panel_info
 from labkit.devices.protocols import PanelInfo, Travel
 from labkit.errors import PlanError, TargetError
+from labkit.panel.panels import PANELS, panel_info
+from labkit.panel.picture import panel_picture
 from labkit.plan import DisplaySettings
 from labkit.target import CellTarget
 

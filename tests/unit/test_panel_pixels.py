@@ -8,19 +8,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from labkit.analysis.fit import first_view
 from labkit.calibration.calibrate import calibrate, channel_data
-from labkit.calibration.lattice import repeating
 from labkit.errors import PlanError
 from labkit.estimation.climb import NoisePrior
 from labkit.estimation.likelihood import FrameData
 from labkit.estimation.observation import Observation
 from labkit.imaging.warp import Pose
+from labkit.panel.drawn_target import PanelTarget
+from labkit.panel.pattern_in_flats import repeating
 from labkit.panel.seen_pixels import SeenPixels, refuse_other_pixels, seen_pixels
 from labkit.panel.target_pixels import as_shown, pixels_per_cell
-from labkit.panel_target import PanelTarget
+from labkit.photographs.decoding import read_raw
+from labkit.photographs.exposure import aperiodic_noise, exposure_problem, pixel_noise
 from labkit.plan import Plan, TargetPixels
-from labkit.raw.decode import read_raw
-from labkit.raw.frame_quality import aperiodic_noise, exposure_problem, pixel_noise
 from labkit.target import CellTarget, open_target
 from labkit.types import Floats
 from tests.plans import PORTRAIT, Tables, plan_text
@@ -226,7 +227,7 @@ def seen(request: pytest.FixtureRequest) -> tuple[str, SeenPixels]:
         )
         for c in "RGB"
     ]
-    found = seen_pixels(shown, CARPET)
+    found = seen_pixels([first_view(o) for o in shown], CARPET)
     assert found is not None
     return layout, found
 
@@ -262,4 +263,4 @@ def test_stripes_of_another_panel_are_refused(seen: tuple[str, SeenPixels]) -> N
 def test_whole_pixels_show_nothing() -> None:
     whole = PanelTarget.of(CARPET, (36, 36), 1)
     plain = photographed(replace(whole, aperture=(3.0, 1.0)), "G", 500.0)
-    assert seen_pixels([plain], CARPET) is None
+    assert seen_pixels([first_view(plain)], CARPET) is None

@@ -17,8 +17,8 @@ from PIL import Image, PngImagePlugin
 
 from labkit import apart
 from labkit.errors import InputError
-from labkit.images import files
-from labkit.images.files import PNG, read_picture
+from labkit.photographs import picture_file as files
+from labkit.photographs.picture_file import PNG, read_picture
 
 DATA = np.random.default_rng(3).integers(0, 65536, (13, 21)).astype(np.uint16)
 

@@ -16,13 +16,13 @@ from PIL import Image, ImageCms
 from labkit.calibration.calibrate import Calibration, channel_data
 from labkit.errors import DataError, InputError, RawError
 from labkit.estimation.likelihood import Detector, FrameData, predict
-from labkit.images.encoding import Encoding, profile_curves, srgb
-from labkit.images.jpeg import read_header
+from labkit.photographs.decoding import read_raw
+from labkit.photographs.encoding import Encoding, profile_curves, srgb
+from labkit.photographs.exposure import exposure_problem
+from labkit.photographs.jpeg import read_header
+from labkit.photographs.photograph import Mosaic
+from labkit.photographs.tone_curve import stated_curve
 from labkit.plan import Sensor
-from labkit.raw.decode import read_raw
-from labkit.raw.frame_quality import exposure_problem
-from labkit.raw.mosaic import Mosaic
-from labkit.raw.tone import stated_curve
 from labkit.session.frame import Frame
 from labkit.session.import_frames import import_frames
 from tests.plans import PORTRAIT, plan_text

@@ -11,8 +11,8 @@ import tifffile
 from numpy.typing import NDArray
 
 from labkit.errors import RawError
+from labkit.photographs.decoding import read_raw
 from labkit.plan import Sensor
-from labkit.raw.decode import read_raw
 
 WriteDng = Callable[..., Path]
 

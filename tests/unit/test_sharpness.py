@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from labkit.finder.sharpness import sharpest_edge_px
-from labkit.raw.mosaic import Mosaic
+from labkit.photographs.photograph import Mosaic
 
 BAYER, MONO = ("RG", "GB"), ("M",)
 

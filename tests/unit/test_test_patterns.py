@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from labkit.console import Console
-from labkit.devices.panels import PANELS
 from labkit.devices.protocols import PanelInfo
 from labkit.devices.serve_target import panel_plans
 from labkit.devices.test_patterns import PATTERNS, pattern
 from labkit.errors import PlanError
+from labkit.panel.panels import PANELS
 
 
 @pytest.mark.parametrize("name", PATTERNS)

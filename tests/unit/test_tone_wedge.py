@@ -15,11 +15,11 @@ from scipy.optimize import least_squares
 from labkit.calibration import tone_wedge
 from labkit.calibration.tone_wedge import PATCHES, measure_tone
 from labkit.cli import run
-from labkit.devices.panel_image import panel_picture
 from labkit.devices.protocols import PanelInfo
 from labkit.errors import DataError, PlanError, TargetError
+from labkit.panel.picture import panel_picture
+from labkit.photographs.decoding import read_raw
 from labkit.plan import Sensor
-from labkit.raw.decode import read_raw
 from labkit.target import CellTarget, open_target
 from labkit.types import Floats
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from labkit.errors import RawError
-from labkit.images.encoding import Curve, Encoding, profile_curves, profile_name, srgb
+from labkit.photographs.encoding import Curve, Encoding, profile_curves, profile_name, srgb
 from labkit.types import Counts, Floats
 
 FULL_COUNTS = 65535.0

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from labkit.devices.protocols import PanelInfo
 from labkit.errors import TargetError
+from labkit.panel.panel_info import PanelInfo
 from labkit.target import CellTarget, Target
 
 SIZE_TOLERANCE = 0.02

@@ -1,8 +1,7 @@
 """Pictures in PNG, PGM and TIFF files: the numbers as they are stored.
 
-The format is that of a file's first bytes, whatever its name. Declared sizes are looked at first. Numbers that stand in a file
-as they are, are read here; what has to be decompressed is decoded in a process of its own (`labkit.images.decoder`),
-with limits of memory and time: a damaged file ends in a message, quickly.
+The format is recognised by the first bytes, whatever the name. Declared sizes are checked first. Uncompressed numbers are read
+here; compressed ones are decoded in a process of its own (`picture_decoder`), with limits of memory and time.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from numpy.typing import NDArray
 
 from labkit.apart import run_apart
 from labkit.errors import InputError, shown
-from labkit.images import decoder
+from labkit.photographs import picture_decoder as decoder
 
 Numbers = NDArray[np.unsignedinteger]
 """Of 8 or 16 bit."""

@@ -15,9 +15,9 @@ from PIL.ExifTags import IFD, Base
 
 from labkit.apart import run_apart
 from labkit.errors import InputError
-from labkit.images.files import PNG, TIFF, png_chunks
-from labkit.images.jpeg import JPEG, read_header
-from labkit.raw.captured_stderr import captured_stderr
+from labkit.photographs.captured_stderr import captured_stderr
+from labkit.photographs.jpeg import JPEG, read_header
+from labkit.photographs.picture_file import PNG, TIFF, png_chunks
 
 UNIT_UM = {2: 25_400.0, 3: 10_000.0, 4: 1000.0, 5: 1.0}
 """Of FocalPlaneResolutionUnit."""
@@ -113,7 +113,7 @@ def _of_raw(path: Path) -> Exif:
     """Of raw files that are no TIFF, as LibRaw has it."""
     import rawpy
 
-    from labkit.raw.libraw import opened_raw
+    from labkit.photographs.libraw import opened_raw
 
     with captured_stderr():
         try:

@@ -7,7 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from labkit.errors import InputError
-from labkit.images.files import DAMAGED, MOST_PIXELS, Picture, check_size, decode
+from labkit.photographs.picture_file import (
+    DAMAGED,
+    MOST_PIXELS,
+    Picture,
+    check_size,
+    decode,
+)
 
 JPEG = b"\xff\xd8"
 EXIF, ICC = b"Exif\0\0", b"ICC_PROFILE\0"

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import scipy.fft
 
-from labkit.raw.mosaic import Cut, Mosaic
+from labkit.photographs.photograph import Cut, Mosaic
 from labkit.types import Counts, Floats, Floats32, FrameKind
 
 SATURATED_SHARE = 0.2

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from labkit.filter_array import IN_COLOURS, MONO
-from labkit.raw.mosaic import Mosaic
+from labkit.photographs.photograph import Mosaic
 from labkit.types import Counts, Floats
 
 TILE_PX = 32

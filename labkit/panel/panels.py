@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from labkit.devices.protocols import PanelInfo
 from labkit.errors import PlanError
+from labkit.panel.panel_info import PanelInfo
 from labkit.plan import DisplaySettings, Plan
 from labkit.target import CellTarget, Target
 

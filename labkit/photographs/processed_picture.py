@@ -15,13 +15,19 @@ from labkit.errors import InputError, RawError
 from labkit.filter_array import IN_COLOURS, MONO
 from labkit.finding import Finding
 from labkit.findings import found
-from labkit.images.encoding import read_encoding, srgb
-from labkit.images.files import Picture, read_picture
-from labkit.images.jpeg import read_jpeg
+from labkit.photographs.container import Container
+from labkit.photographs.encoding import read_encoding, srgb
+from labkit.photographs.jpeg import read_jpeg
+from labkit.photographs.photograph import Mosaic
+from labkit.photographs.picture_file import Picture, read_picture
+from labkit.photographs.tone_curve import (
+    FULL_COUNTS,
+    ToneCurve,
+    measured_curve,
+    stated_curve,
+    tone_curve,
+)
 from labkit.plan import MeasuredTone, Sensor
-from labkit.raw.formats import Container
-from labkit.raw.mosaic import Mosaic
-from labkit.raw.tone import FULL_COUNTS, ToneCurve, measured_curve, stated_curve, tone_curve
 
 
 def read_file(path: Path, container: Container) -> tuple[Picture, bool]:

@@ -1,7 +1,7 @@
 """Photographs read from files. Nothing is demosaiced.
 
 Raw files go through LibRaw and state their filter pattern, black and white level. Grey TIFF, PNG and PGM files hold bare
-numbers: the plan states these. What a program has processed, JPEG and pictures in colours, goes through `raw.processed`.
+numbers: the plan states these. What a program has processed, JPEG and pictures in colours, goes through `processed_picture`.
 The type of a file is recognised by its content, not by its name.
 """
 
@@ -14,11 +14,11 @@ import numpy as np
 from labkit.apart import run_apart
 from labkit.errors import InputError, RawError
 from labkit.filter_array import pattern_of
-from labkit.images.files import Numbers
+from labkit.photographs.container import Container, recognise
+from labkit.photographs.photograph import Mosaic
+from labkit.photographs.picture_file import Numbers
+from labkit.photographs.processed_picture import is_processed, processed_mosaic, read_file
 from labkit.plan import Sensor
-from labkit.raw.formats import Container, recognise
-from labkit.raw.mosaic import Mosaic
-from labkit.raw.processed import is_processed, processed_mosaic, read_file
 
 
 def read_raw(path: Path, sensor: Sensor) -> Mosaic:
@@ -47,7 +47,9 @@ def _read_recognised(path: Path, sensor: Sensor) -> Mosaic:
     container = recognise(path)
     if container.kind != "raw":
         return _read_numbers(path, container, sensor)
-    from labkit.raw.libraw import read_libraw  # who reads no raw file loads no LibRaw
+    from labkit.photographs.libraw import (
+        read_libraw,  # who reads no raw file loads no LibRaw
+    )
 
     return read_libraw(path, container)
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from labkit.filter_array import IN_COLOURS, MONO, ChannelPixels, channel_pixels, places_of
 from labkit.finding import Finding
-from labkit.raw.tone import ToneCurve
+from labkit.photographs.tone_curve import ToneCurve
 from labkit.types import Counts
 
 Cut = tuple[slice, slice]

@@ -11,9 +11,9 @@ import rawpy
 
 from labkit.errors import RawError
 from labkit.filter_array import MONO
-from labkit.raw.captured_stderr import captured_stderr
-from labkit.raw.formats import Container
-from labkit.raw.mosaic import Mosaic
+from labkit.photographs.captured_stderr import captured_stderr
+from labkit.photographs.container import Container
+from labkit.photographs.photograph import Mosaic
 
 DAMAGE = ("data corrupted", "Unexpected end of file")
 """What LibRaw prints of a file that it decodes all the same."""

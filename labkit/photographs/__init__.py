@@ -1,0 +1,1 @@
+"""Photographs: files decoded to counts, with levels, colours and tone curve; nothing is demosaiced."""
