@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -15,10 +16,13 @@ from labkit.console import Console
 from labkit.errors import DataError, SessionError
 
 if TYPE_CHECKING:
-    from labkit.restoration.job import Area
+    from collections.abc import Callable
+
+    from labkit.restoration.job import Area, Job
     from labkit.restoration.restore import Wanted
     from labkit.results import Results
     from labkit.session.session import Session
+    from labkit.types import Floats32
 
 # What a command needs is imported inside it: `labkit --help` and tab completion must not wait for SciPy.
 
@@ -143,11 +147,21 @@ def restore(
         memory_gb=memory,
         fit_defocus=fit_defocus,
         force=force,
-        method=method,  # type: ignore[arg-type]
+        method=method,
+        baseline=_baseline(method),
         sixteen_bit=sixteen_bit,
         workers=workers or default_workers(),
     )
     _restored(ctx.obj, photographs, psf, out, name, wanted)
+
+
+def _baseline(method: str) -> Callable[[Job], Floats32] | None:
+    """Return a method to compare with; None for labkit's own."""
+    if method == "model":
+        return None
+    from labkit.experiments.methods.restoration_baselines import baseline
+
+    return partial(baseline, method=method)
 
 
 def _restored(

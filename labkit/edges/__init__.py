@@ -1,0 +1,1 @@
+"""Edges of a scene: their ranges by defocus, and the response of the camera across them."""

@@ -1,1 +1,1 @@
-"""Scenes restored from aliased mosaics: arrays in, arrays out (thesis §4.5.3, Appendix K)."""
+"""Scenes restored from aliased mosaics with a session's lens (thesis §4.5.3, Appendix K)."""

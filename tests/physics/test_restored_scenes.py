@@ -7,7 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labkit.restoration.baselines import interpolated, psf_of, richardson_lucy
+from labkit.experiments.methods.restoration_baselines import (
+    interpolated,
+    psf_of,
+    richardson_lucy,
+)
 from labkit.restoration.registration import refined, registered
 from labkit.restoration.strength import choose
 from labkit.restoration.tiles import Picture, parts_of, restore_job, tiles

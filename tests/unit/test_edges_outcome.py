@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from labkit.edges.esfr import Esfr
-from labkit.edges.response import FittedResponse
 from labkit.edges.outcome import ChannelEdge
+from labkit.edges.response import FittedResponse
 from labkit.uncertain import Uncertain
 
 NOTHING = Uncertain(0.0, 0.0)

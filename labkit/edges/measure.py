@@ -8,15 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from labkit.edges.box_fit import BoxFit, BoxTask, box_task, fit_box
+from labkit.edges.camera import Camera, camera_of, focus_law
 from labkit.edges.esfr import Esfr
 from labkit.edges.find import Box
 from labkit.edges.joint import EdgeFit
-from labkit.edges.ranges import AS_LIKELY, EdgeRange, FocusLaw, edge_range
-from labkit.edges.response import fitted_response
-from labkit.errors import DataError
-from labkit.execute import Workers, default_workers
-from labkit.edges.box_fit import BoxFit, BoxTask, box_task, fit_box
-from labkit.edges.camera import Camera, camera_of, focus_law
 from labkit.edges.one_range import contradicting
 from labkit.edges.outcome import (
     ChannelEdge,
@@ -32,7 +28,11 @@ from labkit.edges.photographs import (
     find_places,
     read_all,
 )
+from labkit.edges.ranges import AS_LIKELY, EdgeRange, FocusLaw, edge_range
+from labkit.edges.response import fitted_response
 from labkit.edges.standing import Standing, correlation, standings
+from labkit.errors import DataError
+from labkit.execute import Workers, default_workers
 from labkit.measured_camera import check_same_camera
 from labkit.plan import Plan, leading_channel
 from labkit.results import Results

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
@@ -18,8 +18,6 @@ from labkit.errors import InputError
 from labkit.restoration.grid import SceneGrid
 from labkit.restoration.job import Job, transfer_on
 from labkit.types import Floats, Floats32
-
-Method = Literal["richardson-lucy", "richardson-lucy-blind", "wiener", "total-variation"]
 
 RL_STEPS = 100
 BLIND_ROUNDS, BLIND_STEPS, BLIND_PX = (
@@ -32,7 +30,7 @@ TV_WEIGHT, TV_STEPS = 5e-4, 50
 LEAST = 1e-4  # of white: a multiplicative step never leaves 0
 
 
-def baseline(job: Job, method: Method) -> Floats32:
+def baseline(job: Job, method: str) -> Floats32:
     """(colours, rows, columns) samples of the photograph, counts above black. Raises InputError without scikit-image."""
     restored = METHODS[method]
     scenes = []

@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from labkit.edges.box_fit import BoxFit, fit_box
 from labkit.edges.joint import EdgeFit, EdgeProblem, LensPrior
+from labkit.edges.one_range import fit_together
+from labkit.edges.photographs import Place
 from labkit.edges.profile import near_focus, side_of
 from labkit.edges.ranges import Side
 from labkit.edges.region import Region
 from labkit.edges.search import fit_jointly, twin
-from labkit.edges.box_fit import BoxFit, fit_box
-from labkit.edges.one_range import fit_together
-from labkit.edges.photographs import Place
 from labkit.types import Floats
 
 MOST_JOINT = 10  # boxes that a wavefront is fitted along with: what more of them tell of it is little, and they take long

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from labkit.edges.joint import EdgeFit, EdgeProblem, fit_edges
 from labkit.edges.box_fit import BoxFit
+from labkit.edges.joint import EdgeFit, EdgeProblem, fit_edges
 
 CONTRADICTS = 5.0  # standard errors from what the others have in common
 ALIKE_WAVES = 0.01  # RMS: as far may the defoci of one range differ, for a curved field and a tilted sensor

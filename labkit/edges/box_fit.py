@@ -6,8 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from labkit.edges.camera import Camera
 from labkit.edges.esfr import Esfr, Plane, esfr
 from labkit.edges.joint import EXACTLY, ROUGHLY, EdgeFit, EdgeProblem
+from labkit.edges.photographs import Photograph, Place, region_of, samples_by_plane
 from labkit.edges.profile import sides_of
 from labkit.edges.ranges import Side
 from labkit.edges.region import Region
@@ -20,8 +22,6 @@ from labkit.edges.search import (
     rough_edge,
 )
 from labkit.errors import DataError, FitError
-from labkit.edges.camera import Camera
-from labkit.edges.photographs import Photograph, Place, region_of, samples_by_plane
 
 DIFFERENT = 6.0  # standard errors of a difference of defocus between an edge's halves
 DIFFERENT_WAVES, DIFFERENT_SHARE = (

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -17,14 +17,10 @@ from labkit.errors import DataError
 from labkit.filter_array import MONO
 from labkit.measured_camera import optics_behind
 from labkit.optics.lens import blur_per_wave_um
-from labkit.restoration.baselines import Method, baseline
+from labkit.restoration import output
 from labkit.restoration.blind import SPAN_WAVES, fitted_defocus
 from labkit.restoration.colours import colour_coupling
 from labkit.restoration.job import Area, Colour, Job, Photograph
-from labkit.restoration.registration import refined, registered
-from labkit.restoration.strength import Choice
-from labkit.restoration.tiles import Picture, memory_bytes, restore_job
-from labkit.restoration import output
 from labkit.restoration.lens import nearest, waves_at
 from labkit.restoration.photographs import (
     Shot,
@@ -35,6 +31,9 @@ from labkit.restoration.photographs import (
     refuse_other_camera,
     with_motion,
 )
+from labkit.restoration.registration import refined, registered
+from labkit.restoration.strength import Choice
+from labkit.restoration.tiles import Picture, memory_bytes, restore_job
 from labkit.restoration.unknowns import doubts, with_own_noise
 from labkit.results import Results, Wavefront
 from labkit.session.session import Session
@@ -53,7 +52,8 @@ class Wanted:
     """How a scene is to be restored; what is None is chosen.
 
     strength: lambda, or how it is chosen. samples: to a pixel. tile_px: a tile's side. memory_gb: to use at most. force: take a
-    PSF though the photograph contradicts it. method: of the baselines, or "model", ours. sixteen_bit: write such a TIFF too.
+    PSF though the photograph contradicts it.
+    method: its name; baseline: another method than labkit's own. sixteen_bit: write such a TIFF too.
     """
 
     strength: float | Choice = "discrepancy"
@@ -65,7 +65,8 @@ class Wanted:
     memory_gb: float | None = None
     fit_defocus: bool = False
     force: bool = False
-    method: Method | Literal["model"] = "model"
+    method: str = "model"
+    baseline: Callable[[Job], Floats32] | None = None
     sixteen_bit: bool = False
     workers: int = 1
 
@@ -167,7 +168,7 @@ def _restore(
     say(_will_take(job, tile, workers))
     white = shots[0].mosaic.white - float(np.mean(shots[0].mosaic.black))
     std: Floats32 | None = None
-    if wanted.method == "model":
+    if wanted.baseline is None:
         picture = restore_job(
             job, wanted.strength, tile, 2 * job.guard_px, workers, progress
         )
@@ -175,7 +176,7 @@ def _restore(
         notes += _remarks(picture)
     else:
         scene, more = (
-            baseline(job, wanted.method),
+            wanted.baseline(job),
             {"lambda": None, "method": wanted.method},
         )
     more |= {

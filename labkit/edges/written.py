@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from labkit.errors import TargetError
 from labkit.edges.depth_map import draw_depth_map
 from labkit.edges.outcome import EdgesOutcome
+from labkit.errors import TargetError
 from labkit.files import write_atomically, writing
 from labkit.finder.find_target import grey_image
 from labkit.photographs.decoding import read_raw

@@ -1,1 +1,0 @@
-"""Photographs restored with a session's lens: from files to files."""
