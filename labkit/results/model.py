@@ -72,18 +72,6 @@ class ResidualSpectrum:
     power: Floats
     without_parts: Floats | None = None
 
-    def as_json(self) -> dict[str, list[float] | None]:
-        """As results.json keeps it."""
-        without = (
-            None if self.without_parts is None else np.round(self.without_parts, 4).tolist()
-        )
-        power = np.round(self.power, 4).tolist()
-        return {
-            "cycles_per_px": self.cycles_per_px.tolist(),
-            "power": power,
-            "power_without_parts": without,
-        }
-
 
 @dataclass(frozen=True, slots=True)
 class PartTried:

@@ -1,16 +1,19 @@
-"""results.json as it is read: what each key must hold, in schemas 1 to 3, and the objects that are made of it.
+"""results.json: one definition of what each key holds, by which files are checked, read and written.
 
-A file that was altered ends in one line that names the key. Bounds are those of the plan where it has them, or far beyond
-any lens: no number in a file makes a report or a restoration take the machine's memory.
+A field is named as the attribute that it keeps; its alias is the key in the file, and its type says how the value is kept.
+Files of schema 1 to 3 are read, and 3 is written. A file that was altered ends in one line that names the key. Bounds are
+those of the plan where it has them, or far beyond any lens: no number in a file makes a report or a restoration take the
+machine's memory.
 """
 
 from __future__ import annotations
 
-from math import nan, radians
-from typing import Annotated, Any
+from dataclasses import fields, replace
+from math import nan
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from labkit.errors import LONGEST, shown
 from labkit.finding import NOTE, Finding
@@ -18,6 +21,40 @@ from labkit.key import Key
 from labkit.optics.rim import ROUND, Circle, Cut, Diaphragm, Rim
 from labkit.optics.spectrum import Spectrum
 from labkit.plan import Plan
+from labkit.results.kept import (
+    Corners,
+    Degrees,
+    Entry,
+    Finite,
+    FNumber,
+    Kept,
+    Matrix,
+    Maybe,
+    Millimetres,
+    Name,
+    Nanometres,
+    Noll,
+    Number,
+    NumberEntry,
+    Place,
+    Pose,
+    Powers,
+    Range,
+    Size,
+    Std,
+    StdNumber,
+    Tenths,
+    Text,
+    Thousandths,
+    Waves,
+    array,
+    listed,
+    null,
+    number,
+    table,
+    uncertain,
+)
+from labkit.results.lens_entry import LensEntry
 from labkit.results.model import (
     Focus,
     Lens,
@@ -31,61 +68,18 @@ from labkit.results.model import (
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
+if TYPE_CHECKING:
+    from labkit.results.results import Results
+
+SCHEMA = 3
+READABLE = (1, 2, 3)
 FIRST_WITH_FINDINGS = 3
 
-LENS = {
-    "focal_length_mm": ("focal_length", "mm"),
-    "f_number": ("f_number", ""),
-    "pupil_magnification": ("pupil_magnification", ""),
-    "range_zero_mm": ("range_zero", "mm"),
-}
-"""Keys of the lens, the fields that they hold, and their units."""
+MOST_OTHERS = 5
+"""Number of other optima that are kept, the likeliest."""
 
 UNITS = {"px": "px", "px2": "px²", "nm": "nm", "deg": "deg"}
-"""Of numbers of the camera, by the end of their names."""
-
-MOST_WAVES = 1e3
-"""RMS, of any mode."""
-
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Maybe = Finite | None
-"""null stands for what is not finite, or not known."""
-
-Std = Annotated[Finite, Field(ge=0)] | None
-Waves = Annotated[Finite, Field(ge=-MOST_WAVES, le=MOST_WAVES)]
-Nanometres = Annotated[Finite, Field(ge=10, le=100_000)]
-Noll = Annotated[int, Field(ge=1, le=10_000)]
-Range = Annotated[Finite, Field(gt=0, le=1e7)]
-FNumber = Annotated[Finite, Field(ge=0.1, le=1e4)]
-Place = Annotated[int, Field(ge=-(2**20), le=2**20)]
-Size = Annotated[int, Field(ge=1, le=2**16)]
-Text = Annotated[str, Field(max_length=10_000)]
-Name = Annotated[str, Field(min_length=1, max_length=200)]
-Pose = Annotated[tuple[Maybe, ...], Field(min_length=8, max_length=8)]
-Corners = Annotated[tuple[tuple[Maybe, Maybe], ...], Field(min_length=4, max_length=4)]
-
-
-class Entry(BaseModel):
-    """A table of results.json. Keys that are not known, of a later labkit, are left out."""
-
-    model_config = ConfigDict(strict=True, frozen=True)
-
-
-class NumberEntry(Entry):
-    """A number with its standard error."""
-
-    value: Maybe
-    std: Std
-
-    def uncertain(self, unit: str = "") -> Uncertain:
-        """Return the number."""
-        return Uncertain(_number(self.value), _number(self.std), unit)
-
-
-class PositiveEntry(NumberEntry):
-    """A number above 0."""
-
-    value: Annotated[Finite, Field(gt=0)]
+"""Units of the camera's numbers, by the end of their names."""
 
 
 class WhereEntry(Entry):
@@ -101,11 +95,19 @@ class WhereEntry(Entry):
         return None if self.channel is None else Key(self.range_mm, self.channel, self.tile)
 
 
+def _where(key: Key | None) -> dict[str, Any]:
+    no_channel = {"range_mm": None, "channel": None, "tile": None}
+    return no_channel if key is None else key.as_json()
+
+
+Where = Annotated[Key | None, Kept(WhereEntry, lambda entry: entry.key, _where)]
+
+
 class FindingEntry(Entry):
     """A finding."""
 
     code: Name
-    where: WhereEntry
+    key: Where = Field(alias="where")
     numbers: dict[str, Any]
     text: Text
 
@@ -113,54 +115,72 @@ class FindingEntry(Entry):
 class OtherEntry(Entry):
     """Another optimum."""
 
-    waves_rms: tuple[Waves | None, ...]
-    log_likelihood_below: Maybe
+    waves: Annotated[Floats, array(tuple[Waves | None, ...])] = Field(alias="waves_rms")
+    log_likelihood_below: Tenths
 
 
-class OptimumEntry(Entry):
+Other = Annotated[OtherOptimum, table(OtherEntry, OtherOptimum)]
+
+
+class TestEntry(Entry):
     """The test of the optimum."""
 
     name: Text = ""
+    p_value: Number = nan
     accepted: bool
-    p_value: Maybe = None
-    starts: int | None = None
     undetermined: tuple[Text, ...] = ()
-    others: tuple[OtherEntry, ...] = ()
+    starts: int | None = None
+    others: tuple[Other, ...] = ()
+
+
+class OptimumEntry(Entry):
+    """The test of the optimum in short, which is not read."""
+
+    accepted: Any = None
+    p_value: Any = None
+    others: Any = None
 
 
 class ResidualSpectrumEntry(Entry):
     """What is left of the data, by frequency."""
 
-    cycles_per_px: tuple[Finite, ...]
-    power: tuple[Maybe, ...]
-    power_without_parts: tuple[Maybe, ...] | None = None
+    cycles_per_px: Annotated[Floats, array(tuple[Finite, ...])]
+    power: Powers
+    without_parts: Powers | None = Field(default=None, alias="power_without_parts")
 
-    def spectrum(self) -> ResidualSpectrum:
-        """Return the spectrum. Raises ValueError for parts of different lengths."""
-        without = self.power_without_parts
-        columns = [self.cycles_per_px, self.power, without or self.power]
-        if len({len(column) for column in columns}) != 1:
-            raise ValueError("residual_spectrum has columns of different lengths")
-        return ResidualSpectrum(
-            _numbers(self.cycles_per_px),
-            _numbers(self.power),
-            None if without is None else _numbers(without),
-        )
+
+def _residual_spectrum(entry: ResidualSpectrumEntry) -> ResidualSpectrum:
+    """Return the spectrum. Raises ValueError for columns of different lengths."""
+    columns = (entry.cycles_per_px, entry.power, entry.without_parts)
+    if len({column.size for column in columns if column is not None}) != 1:
+        raise ValueError("residual_spectrum has columns of different lengths")
+    return entry.made(ResidualSpectrum)
 
 
 class ModelEntry(Entry):
     """Whether the model explains the data."""
 
     accepted: bool
+    p_value: Number = nan
     missing: tuple[Name, ...] = ()
-    residual_spectrum: ResidualSpectrumEntry | None = None
+    residual_spectrum: (
+        Annotated[
+            ResidualSpectrum,
+            Kept(
+                ResidualSpectrumEntry,
+                _residual_spectrum,
+                lambda left: ResidualSpectrumEntry.of(left).written(),
+            ),
+        ]
+        | None
+    ) = None
 
 
 class BladesEntry(Entry):
     """A diaphragm."""
 
     blades: Annotated[int, Field(ge=3, le=20)]
-    turn_deg: Finite
+    turn: Degrees = Field(alias="turn_deg")
     roundness: Annotated[Finite, Field(ge=0, le=1)]
 
 
@@ -168,132 +188,182 @@ class CircleEntry(Entry):
     """A circle that cuts the pupil."""
 
     shift: Annotated[Finite, Field(ge=0, le=5)]
-    radius: Annotated[Finite, Field(gt=0, le=10)]
-    direction_deg: Finite
+    size: Annotated[Finite, Field(gt=0, le=10)] = Field(alias="radius")
+    direction: Degrees = Field(alias="direction_deg")
+
+
+def _cut(entry: BladesEntry | CircleEntry) -> Cut:
+    """Return an edge of the pupil. Raises ValueError for a circle off the pupil."""
+    if isinstance(entry, BladesEntry):
+        return entry.made(Diaphragm)
+    if entry.shift >= entry.size:
+        raise ValueError(f"a circle {entry.shift:g} off, of radius {entry.size:g}")
+    return entry.made(Circle)
+
+
+def _cut_entry(cut: Cut) -> dict[str, Any]:
+    entry = BladesEntry if isinstance(cut, Diaphragm) else CircleEntry
+    return entry.of(cut).written()
 
 
 class PupilEntry(Entry):
     """The rim of a pupil that is no clear disc."""
 
-    cuts: Annotated[tuple[BladesEntry | CircleEntry, ...], Field(max_length=5)] = ()
+    cuts: Annotated[
+        tuple[Annotated[Cut, Kept(BladesEntry | CircleEntry, _cut, _cut_entry)], ...],
+        Field(max_length=5),
+    ] = ()
     uneven: Annotated[tuple[Finite, ...], Field(max_length=4)] = ()
     obstructed: Annotated[Finite, Field(ge=-0.9, le=0.9)] = 0.0
 
-    @property
-    def rim(self) -> Rim:
-        """The rim. Raises ValueError where it is no closed curve."""
-        if sum(map(abs, self.uneven)) >= 1:
-            raise ValueError(f"uneven = {self.uneven}: the rim is no closed curve")
-        cuts = list[Cut]()
-        for cut in self.cuts:
-            if isinstance(cut, BladesEntry):
-                cuts.append(Diaphragm(cut.blades, radians(cut.turn_deg), cut.roundness))
-            elif cut.shift >= cut.radius:
-                raise ValueError(f"a circle {cut.shift:g} off, of radius {cut.radius:g}")
-            else:
-                cuts.append(Circle(cut.shift, cut.radius, radians(cut.direction_deg)))
-        return Rim(tuple(cuts), self.uneven, self.obstructed)
+
+def _rim(entry: PupilEntry) -> Rim:
+    """Return the rim. Raises ValueError where it is no closed curve."""
+    if sum(map(abs, entry.uneven)) >= 1:
+        raise ValueError(f"uneven = {entry.uneven}: the rim is no closed curve")
+    return entry.made(Rim)
 
 
 class WavefrontEntry(Entry):
     """A wavefront. Before schema 3 its identity is its range and channel."""
 
-    key: WhereEntry | None = None
+    key: Where = None
     range_mm: Range | None
-    channel: Name
     measured_range_mm: Range | None = None
+    channel: Name
     wavelength_nm: Nanometres
     spectrum: (
         Annotated[tuple[tuple[Nanometres, Finite], ...], Field(min_length=1, max_length=99)]
         | None
     ) = None
-    pupil: PupilEntry | None = None
+    rim: (
+        Annotated[Rim, Kept(PupilEntry, _rim, lambda rim: PupilEntry.of(rim).written())]
+        | None
+    ) = Field(default=None, alias="pupil")
     f_number: FNumber | None = None
-    f_number_working: NumberEntry | None = None
-    blur_um: NumberEntry | None = None
+    working_f_number: Annotated[Uncertain, uncertain()] | None = Field(
+        default=None, alias="f_number_working"
+    )
+    blur: Annotated[Uncertain, uncertain("um")] | None = Field(
+        default=None, alias="blur_um"
+    )
     noll: Annotated[tuple[Noll, ...], Field(max_length=1000)]
-    waves_rms: tuple[Waves, ...]
+    waves: Annotated[Floats, array(tuple[Waves, ...])] = Field(alias="waves_rms")
     sign_open: bool = False
-    std: tuple[Std, ...]
-    covariance: tuple[tuple[Maybe, ...], ...] | None = None
-    pose: Pose | None = None
-    poses: Annotated[tuple[Pose, ...], Field(min_length=1)] | None = None
-    gain: Maybe = None
-    read_noise: Maybe = None
-    chi2_per_pixel: Maybe = None
-    global_test: OptimumEntry | None = None
+    twin_waves: Any = Field(default=None, alias="twin_waves_rms")
+    std: Annotated[Floats, array(tuple[Std, ...])]
+    covariance: Matrix | None = None
+    pose: Annotated[Floats, array(Pose)] | None = None
+    poses: (
+        Annotated[Floats, array(Annotated[tuple[Pose, ...], Field(min_length=1)])] | None
+    ) = None
+    gain: Number = nan
+    read_noise: Number = nan
+    chi2_per_pixel: Number = nan
+    test: Annotated[OptimumTest, table(TestEntry, OptimumTest)] | None = Field(
+        default=None, alias="global_test"
+    )
+    optimum: OptimumEntry | None = None
     model: ModelEntry | None = None
-    seconds: Maybe = None
+    seconds: Thousandths = nan
     frames: tuple[Text, ...] = ()
     origin_px: tuple[Place, Place] = (0, 0)
     shape_px: tuple[Size, Size] | None = None
-    corners_px: Annotated[tuple[Corners, ...], Field(min_length=1)] | None = None
+    corners_px: (
+        Annotated[Floats, array(Annotated[tuple[Corners, ...], Field(min_length=1)])] | None
+    ) = None
 
     @property
     def identity(self) -> Key:
         """The wavefront's key. Raises ValueError for one that is of no channel."""
-        key = Key(self.range_mm, self.channel) if self.key is None else self.key.key
-        if key is None:
+        if "key" not in self.model_fields_set:
+            return Key(self.range_mm, self.channel)
+        if self.key is None:
             raise ValueError("a wavefront's key has no channel")
-        return key
+        return self.key
+
+    @classmethod
+    def of_wavefront(cls, w: Wavefront) -> WavefrontEntry:
+        """Return the entry of a wavefront."""
+        return cls.of(
+            w,
+            spectrum=None
+            if w.spectrum == Spectrum()
+            else tuple(map(tuple, w.spectrum.lines(w.wavelength_nm))),
+            rim=None if w.rim.is_round else w.rim,
+            twin_waves=listed(w.twin.waves) if w.sign_open else None,
+            pose=w.poses[0],
+            test=_shortened(w.test),
+            **_verdicts(w),
+            **({} if w.placement is None else _attributes(w.placement)),
+        )
 
     def wavefront(self, plan: Plan) -> Wavefront:
         """Return the wavefront, without its residuals. Raises ValueError."""
-        key, test, model = self.identity, self.global_test, self.model
-        f_number = self.f_number or plan.lens.f_number
+        key, model, working = self.identity, self.model, self.working_f_number
+        measured_mm = self.measured_range_mm
+        if "measured_range_mm" not in self.model_fields_set:
+            measured_mm = key.range_mm
         lines = self.spectrum or ((self.wavelength_nm, 1.0),)
-        left = None if model is None else model.residual_spectrum
-        return Wavefront(
+        return self.made(
+            Wavefront,
             range_mm=key.range_mm,
-            measured_range_mm=key.range_mm
-            if "measured_range_mm" not in self.model_fields_set
-            else self.measured_range_mm,
+            measured_range_mm=measured_mm,
             channel=key.channel,
             tile=key.tile,
-            wavelength_nm=self.wavelength_nm,
             reference_wavelength_nm=plan.reference_wavelength_nm,
-            f_number=f_number,
-            f_number_std=nan
-            if self.f_number_working is None
-            else _number(self.f_number_working.std),
-            blur=None if self.blur_um is None else self.blur_um.uncertain("um"),
-            noll=self.noll,
-            waves=_numbers(self.waves_rms),
-            sign_open=self.sign_open,
-            covariance=self._covariance(),
+            f_number=self.f_number or plan.lens.f_number,
+            f_number_std=nan if working is None else working.std,
+            covariance=np.diag(self.std**2) if self.covariance is None else self.covariance,
             poses=self._poses(),
-            gain=_number(self.gain),
-            read_noise=_number(self.read_noise),
-            chi2_per_pixel=_number(self.chi2_per_pixel),
-            test=None if test is None else _test(test, test if model is None else model),
-            seconds=_number(self.seconds),
-            frames=self.frames,
+            test=self._test(),
             missing=() if model is None else model.missing,
             spectrum=Spectrum.of_lines(lines, self.wavelength_nm),
-            rim=ROUND if self.pupil is None else self.pupil.rim,
-            residual_spectrum=None if left is None else left.spectrum(),
-            placement=self._placement(),
+            rim=self.rim or ROUND,
+            residual_spectrum=None if model is None else model.residual_spectrum,
+            placement=None if self.shape_px is None else self._placement(self.shape_px),
         )
 
     def _poses(self) -> Floats:
         """Return (frames, 8) poses; before schema 3 there may be only that of the first photograph."""
-        poses = self.poses or (() if self.pose is None else (self.pose,))
-        if not poses:
+        if self.poses is not None:
+            return self.poses
+        if self.pose is None:
             raise ValueError(f"{self.identity.label} has no pose")
-        return _numbers(poses)
+        return self.pose[np.newaxis]
 
-    def _covariance(self) -> Floats:
-        """Return the covariance; of results without one, that of independent errors."""
-        return (
-            np.diag(_numbers(self.std) ** 2)
-            if self.covariance is None
-            else _numbers(self.covariance)
-        )
-
-    def _placement(self) -> Placement | None:
-        if self.corners_px is None or self.shape_px is None:
+    def _test(self) -> OptimumTest | None:
+        """Return the test; before schema 2 it is that of the model too."""
+        if self.test is None:
             return None
-        return Placement(self.origin_px, self.shape_px, _numbers(self.corners_px))
+        explains = self.test.accepted if self.model is None else self.model.accepted
+        return replace(self.test, explains=explains)
+
+    def _placement(self, shape_px: tuple[int, int]) -> Placement | None:
+        if self.corners_px is None:
+            return None
+        return Placement(self.origin_px, shape_px, self.corners_px)
+
+
+def _shortened(test: OptimumTest | None) -> OptimumTest | None:
+    return None if test is None else replace(test, others=test.others[:MOST_OTHERS])
+
+
+def _attributes(placement: Placement) -> dict[str, Any]:
+    return {field.name: getattr(placement, field.name) for field in fields(placement)}
+
+
+def _verdicts(w: Wavefront) -> dict[str, Any]:
+    """Return the entries that say whether the optimum is found, and whether the model explains the photographs."""
+    if w.test is None:
+        return {"optimum": None, "model": None}
+    p_value, left = w.test.p_value, w.residual_spectrum
+    optimum = OptimumEntry(
+        accepted=w.test.accepted, p_value=null(p_value), others=len(w.test.others)
+    )
+    model = {"accepted": w.test.explains, "p_value": p_value, "missing": w.missing}
+    model |= {} if left is None else {"residual_spectrum": left}
+    return {"optimum": optimum, "model": ModelEntry.model_construct(None, **model)}
 
 
 class MagnificationEntry(NumberEntry):
@@ -305,85 +375,62 @@ class MagnificationEntry(NumberEntry):
 class FocusEntry(Entry):
     """Best focus."""
 
-    best_focus_mm: Annotated[dict[Name, NumberEntry], Field(min_length=1)]
+    best_focus_mm: Annotated[dict[Name, Millimetres], Field(min_length=1)]
     pupil_magnification: MagnificationEntry
-    residual_waves: dict[Name, tuple[Maybe, ...]] = {}
-    residual_std_waves: dict[Name, tuple[Std, ...]] = {}
-    covariance: tuple[tuple[Maybe, ...], ...] | None = None
+    residual_waves: dict[Name, tuple[Number, ...]] = Field(default_factory=dict)
+    residual_std_waves: dict[Name, tuple[StdNumber, ...]] = Field(default_factory=dict)
+    covariance: Matrix | None = None
     chi2_per_freedom: Maybe = None
 
-    def focus(self) -> Focus:
-        """Return best focus."""
-        return Focus(
-            best_focus_mm={
-                channel: best.uncertain("mm")
-                for channel, best in self.best_focus_mm.items()
-            },
-            pupil_magnification=self.pupil_magnification.uncertain(),
-            identifiable=self.pupil_magnification.identifiable,
-            residual_waves={
-                channel: tuple(map(_number, rest))
-                for channel, rest in self.residual_waves.items()
-            },
-            residual_std_waves={
-                channel: tuple(map(_number, std))
-                for channel, std in self.residual_std_waves.items()
-            },
-            covariance=None if self.covariance is None else _numbers(self.covariance),
-            chi2_per_freedom=self.chi2_per_freedom,
-        )
+
+def _focus(entry: FocusEntry) -> Focus:
+    pupils = entry.pupil_magnification
+    return entry.made(
+        Focus,
+        pupil_magnification=Uncertain(number(pupils.value), number(pupils.std)),
+        identifiable=pupils.identifiable,
+    )
 
 
-class LensEntry(Entry):
-    """The lens that all fits have in common."""
-
-    focal_length_mm: PositiveEntry
-    f_number: PositiveEntry
-    pupil_magnification: PositiveEntry
-    range_zero_mm: NumberEntry
-
-    def lens(self) -> Lens:
-        """Return the lens."""
-        return Lens(
-            **{
-                field: getattr(self, name).uncertain(unit)
-                for name, (field, unit) in LENS.items()
-            }
-        )
+def _focus_entry(focus: Focus) -> dict[str, Any]:
+    pupils = MagnificationEntry(
+        **focus.pupil_magnification.as_json(), identifiable=focus.identifiable
+    )
+    return FocusEntry.of(focus, pupil_magnification=pupils).written()
 
 
 class PartTriedEntry(Entry):
     """A part of the camera that the photographs were asked about."""
 
-    part: Name
-    gain: Maybe
+    name: Name = Field(alias="part")
+    gain: Tenths
     adopted: bool
 
 
 class Content(Entry):
     """The whole of results.json."""
 
-    model_config = ConfigDict(protected_namespaces=())  # a key is called model_parts
-
     schema_: int = Field(alias="schema")
     labkit_version: Text
     created: Text
     plan_sha256: Text
     plan: Any = None
+    convention: Any = None
+    reference_wavelength_nm: Any = None
     wavefronts: tuple[WavefrontEntry, ...]
-    focus: FocusEntry | None
+    focus: Annotated[Focus, Kept(FocusEntry, _focus, _focus_entry)] | None
     lens: LensEntry | None = None
-    budget: dict[Name, dict[Name, Finite]] = {}
-    joint: dict[Name, Finite] = {}
-    model_parts: dict[Name, NumberEntry] = {}
-    parts_tried: tuple[PartTriedEntry, ...] = ()
-    widest_light_nm: dict[Name, Finite] = {}
+    budget: dict[Name, dict[Name, Finite]] = Field(default_factory=dict)
+    joint: dict[Name, Finite] = Field(default_factory=dict)
+    model_parts: dict[Name, Annotated[Uncertain, uncertain()]] = Field(default_factory=dict)
+    parts_tried: tuple[Annotated[PartTried, table(PartTriedEntry, PartTried)], ...] = ()
+    widest_light_nm: dict[Name, Tenths] = Field(default_factory=dict)
     findings: tuple[FindingEntry, ...] | None = None
     warnings: tuple[Text, ...]
     unanswered: Text | None = None
 
     @classmethod
-    def of(cls, content: str) -> Content:
+    def parse(cls, content: str) -> Content:
         """Read the text of a file. Raises ValueError that names the first key that is not as it must be."""
         try:
             return cls.model_validate_json(content)
@@ -394,28 +441,34 @@ class Content(Entry):
             found = "" if held is None or isinstance(held, dict) else f" = {shown(held)}"
             raise ValueError(f"{where}{found}: {first['msg']}") from None
 
+    @classmethod
+    def of_results(cls, results: Results) -> Content:
+        """Return the content of results."""
+        plan, lens = results.plan, results.lens
+        return cls.of(
+            results,
+            schema_=SCHEMA,
+            plan=plan.model_dump(mode="json", exclude_none=True),
+            convention=plan.fit.convention,
+            wavefronts=tuple(map(WavefrontEntry.of_wavefront, results.wavefronts)),
+            lens=None if lens is None else LensEntry.of_results(results, lens),
+            findings=tuple(map(FindingEntry.of, results.findings)),
+        )
+
     def fields(self, plan: Plan) -> dict[str, Any]:
         """Return the fields of results, but for their plan, folder and residuals. Raises ValueError."""
-        return {
-            "plan_sha256": self.plan_sha256,
-            "wavefronts": tuple(w.wavefront(plan) for w in self.wavefronts),
-            "focus": None if self.focus is None else self.focus.focus(),
-            "lens": None if self.lens is None else self.lens.lens(),
-            "budget": self.budget,
-            "joint": self.joint,
+        same = (
+            *("plan_sha256", "focus", "budget", "joint", "parts_tried", "widest_light_nm"),
+            *("unanswered", "created", "labkit_version"),
+        )
+        return {name: getattr(self, name) for name in same} | {
+            "wavefronts": tuple(entry.wavefront(plan) for entry in self.wavefronts),
+            "lens": None if self.lens is None else self.lens.made(Lens),
             "model_parts": {
-                name: number.uncertain(UNITS.get(name.rpartition("_")[2], ""))
+                name: replace(number, unit=UNITS.get(name.rpartition("_")[2], ""))
                 for name, number in self.model_parts.items()
             },
-            "parts_tried": tuple(
-                PartTried(one.part, _number(one.gain), one.adopted)
-                for one in self.parts_tried
-            ),
-            "widest_light_nm": self.widest_light_nm,
             "findings": self._findings(),
-            "unanswered": self.unanswered,
-            "created": self.created,
-            "labkit_version": self.labkit_version,
         }
 
     def _findings(self) -> tuple[Finding, ...]:
@@ -425,34 +478,6 @@ class Content(Entry):
         if self.findings is None:
             raise ValueError("findings are missing")
         return tuple(
-            Finding(
-                one.code, one.where.key, one.numbers, one.text, one.text in self.warnings
-            )
-            for one in self.findings
+            entry.made(Finding, warns=entry.text in self.warnings)
+            for entry in self.findings
         )
-
-
-def _test(test: OptimumEntry, model: OptimumEntry | ModelEntry) -> OptimumTest:
-    """Return the test of the optimum. model: what says whether the model explains the data."""
-    others = (
-        OtherOptimum(_numbers(one.waves_rms), _number(one.log_likelihood_below))
-        for one in test.others
-    )
-    return OptimumTest(
-        name=test.name,
-        accepted=test.accepted,
-        p_value=_number(test.p_value),
-        starts=test.starts,
-        undetermined=test.undetermined,
-        others=tuple(others),
-        explains=model.accepted,
-    )
-
-
-def _number(value: float | None) -> float:
-    return nan if value is None else value
-
-
-def _numbers(values: Any) -> Floats:
-    """Return an array; nan for None. Raises ValueError for rows of different lengths."""
-    return np.array(values, dtype=float)

@@ -6,7 +6,7 @@ import json
 import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from math import isfinite, prod
+from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,26 +23,14 @@ from labkit.files import (
     writing,
 )
 from labkit.key import Key
-from labkit.optics.rim import Circle, Diaphragm, Rim
-from labkit.optics.spectrum import Spectrum
 from labkit.plan import Plan
-from labkit.results.lens_entry import modes_entry, pupil_entry
-from labkit.results.model import (
-    Focus,
-    Lens,
-    OptimumTest,
-    Residuals,
-    Wavefront,
-)
-from labkit.results.schema import LENS, Content
-from labkit.types import Floats
+from labkit.results.model import Residuals, Wavefront
+from labkit.results.schema import READABLE, Content
 
 if TYPE_CHECKING:
     from labkit.results.results import Results
 
 RESULTS, RESIDUALS, PSFS = "results.json", "residuals.npz", "psf.npz"
-SCHEMA, READABLE = 3, (1, 2, 3)
-MOST_OTHERS = 5  # other optima that are kept, the likeliest
 PSF_SAMPLES_PER_AIRY = 6.0  # of the shortest wavelength's lambda N: three times Nyquist, fine enough to interpolate
 PSF_HALF_WIDTH_AIRY = (
     32.0  # of the longest wavelength's lambda N: 0.6 % of the light lies beyond
@@ -51,8 +39,6 @@ PARTS = ("data", "model", "sigma")  # of residuals
 MOST_BYTES = 8  # of a number
 MOST_PIXELS = 2**28  # of any photograph
 REPORT = ("report.html", "figures")  # made of results: stale as soon as there are others
-
-Json = dict[str, Any]
 
 
 def write(folder: Path, results: Results) -> Path:
@@ -102,7 +88,7 @@ def read(folder: Path, name: str) -> dict[str, Any]:
             f"{path} has schema {shown(schema)}; this version reads schemas {known}: fit the session again"
         )
     try:
-        content = Content.of(text)
+        content = Content.parse(text)
         plan = _plan(content, place)
         fields = content.fields(plan)
     except PlanError as error:
@@ -118,7 +104,7 @@ def read(folder: Path, name: str) -> dict[str, Any]:
 def kept_keys(folder: Path) -> set[Key]:
     """Keys of the wavefronts whose results a folder holds; empty where it holds none that can be read."""
     try:
-        content = Content.of((folder / RESULTS).read_text(encoding="utf-8"))
+        content = Content.parse((folder / RESULTS).read_text(encoding="utf-8"))
         return {entry.identity for entry in content.wavefronts}
     except (OSError, ValueError):
         return set()
@@ -130,32 +116,9 @@ def _schema(text: str) -> Any:
     return entry.get("schema") if isinstance(entry, dict) else None
 
 
-def entry(results: Results) -> Json:
+def entry(results: Results) -> dict[str, Any]:
     """The content of results.json."""
-    r, plan = results, results.plan
-    return {
-        "schema": SCHEMA,
-        "labkit_version": r.labkit_version,
-        "created": r.created,
-        "plan_sha256": r.plan_sha256,
-        "plan": plan.model_dump(mode="json", exclude_none=True),
-        "convention": plan.fit.convention,
-        "reference_wavelength_nm": plan.reference_wavelength_nm,
-        "wavefronts": [_wavefront_json(w) for w in r.wavefronts],
-        "focus": None if r.focus is None else _focus_json(r.focus),
-        "lens": None if r.lens is None else _lens_json(r, r.lens),
-        "budget": {name: dict(shares) for name, shares in r.budget.items()},
-        "joint": dict(r.joint),
-        "model_parts": {name: number.as_json() for name, number in r.model_parts.items()},
-        "parts_tried": [
-            {"part": p.name, "gain": round(p.gain, 1), "adopted": p.adopted}
-            for p in r.parts_tried
-        ],
-        "widest_light_nm": {name: round(nm, 1) for name, nm in r.widest_light_nm.items()},
-        "findings": [finding.as_json() for finding in r.findings],
-        "warnings": list(r.warnings),
-        "unanswered": r.unanswered,
-    }
+    return Content.of_results(results).written()
 
 
 def psfs(wavefronts: Sequence[Wavefront]) -> dict[str, npt.NDArray[Any]]:
@@ -177,137 +140,6 @@ def _residuals(wavefronts: Sequence[Wavefront]) -> dict[str, npt.NDArray[Any]]:
         if w.residuals is not None
         for part in PARTS
     }
-
-
-def _pupil_json(rim: Rim) -> Json:
-    cuts = list[Json]()
-    for cut in rim.cuts:
-        if isinstance(cut, Diaphragm):
-            turn_deg = float(np.degrees(cut.turn))
-            cuts.append(
-                {"blades": cut.blades, "turn_deg": turn_deg, "roundness": cut.roundness}
-            )
-        elif isinstance(cut, Circle):
-            direction_deg = float(np.degrees(cut.direction))
-            cuts.append(
-                {"shift": cut.shift, "radius": cut.size, "direction_deg": direction_deg}
-            )
-    return {"cuts": cuts, "uneven": list(rim.uneven), "obstructed": rim.obstructed}
-
-
-def _wavefront_json(w: Wavefront) -> Json:
-    entry = {
-        "key": w.key.as_json(),
-        "range_mm": w.range_mm,
-        "measured_range_mm": w.measured_range_mm,
-        "channel": w.channel,
-        "wavelength_nm": w.wavelength_nm,
-        "spectrum": None if w.spectrum == Spectrum() else w.spectrum.lines(w.wavelength_nm),
-        "pupil": None if w.rim.is_round else _pupil_json(w.rim),
-        "f_number": w.f_number,
-        "f_number_working": w.working_f_number.as_json(),
-        "blur_um": None if w.blur is None else w.blur.as_json(),
-        "noll": list(w.noll),
-        "waves_rms": _listed(w.waves),
-        "sign_open": w.sign_open,
-        "twin_waves_rms": _listed(w.twin.waves) if w.sign_open else None,
-        "std": _listed(w.std),
-        "covariance": _listed(w.covariance),
-        "pose": _listed(w.poses[0]),
-        "poses": _listed(w.poses),
-        "gain": _number(w.gain),
-        "read_noise": _number(w.read_noise),
-        "chi2_per_pixel": _number(w.chi2_per_pixel),
-        "global_test": None if w.test is None else _test_json(w.test),
-        "optimum": None if w.test is None else _optimum_json(w.test),
-        "model": None
-        if w.test is None
-        else {
-            "accepted": w.test.explains,
-            "p_value": _number(w.test.p_value),
-            "missing": list(w.missing),
-        }
-        | (
-            {}
-            if w.residual_spectrum is None
-            else {"residual_spectrum": w.residual_spectrum.as_json()}
-        ),
-        "seconds": round(w.seconds, 3) if isfinite(w.seconds) else None,
-        "frames": list(w.frames),
-    }
-    if w.placement is not None:
-        entry["origin_px"], entry["shape_px"] = (
-            list(w.placement.origin_px),
-            list(w.placement.shape_px),
-        )
-        entry["corners_px"] = _listed(w.placement.corners_px)
-    return entry
-
-
-def _test_json(test: OptimumTest) -> Json:
-    return {
-        "name": test.name,
-        "p_value": _number(test.p_value),
-        "accepted": test.accepted,
-        "undetermined": list(test.undetermined),
-        "starts": test.starts,
-        "others": [
-            {
-                "waves_rms": _listed(other.waves),
-                "log_likelihood_below": round(other.log_likelihood_below, 1),
-            }
-            for other in test.others[:MOST_OTHERS]
-        ],
-    }
-
-
-def _optimum_json(test: OptimumTest) -> Json:
-    return {
-        "accepted": test.accepted,
-        "p_value": _number(test.p_value),
-        "others": len(test.others),
-    }
-
-
-def _lens_json(r: Results, lens: Lens) -> Json:
-    numbers = {name: getattr(lens, field).as_json() for name, (field, _) in LENS.items()}
-    return {**numbers, "modes": modes_entry(r), "pupil": pupil_entry(r, lens)}
-
-
-def _focus_json(focus: Focus) -> Json:
-    return {
-        "best_focus_mm": {
-            channel: best.as_json() for channel, best in focus.best_focus_mm.items()
-        },
-        "pupil_magnification": {
-            **focus.pupil_magnification.as_json(),
-            "identifiable": focus.identifiable,
-        },
-        "residual_waves": {
-            channel: _listed(np.array(rest))
-            for channel, rest in focus.residual_waves.items()
-        },
-        "residual_std_waves": {
-            channel: _listed(np.array(std))
-            for channel, std in focus.residual_std_waves.items()
-        },
-        "covariance": None if focus.covariance is None else _listed(focus.covariance),
-        "chi2_per_freedom": focus.chi2_per_freedom,
-    }
-
-
-def _listed(values: Floats) -> Any:
-    """Nested lists of numbers, None for those that are not finite."""
-    values = np.asarray(values, float)
-    return (
-        [_listed(row) for row in values]
-        if values.ndim > 1
-        else [_number(x) for x in values]
-    )
-
-
-def _number(value: float) -> float | None:
-    return float(value) if isfinite(value) else None
 
 
 def _others(session: Path) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 from dataclasses import replace
 from math import isnan
@@ -11,13 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from labkit import results
 from labkit.errors import DataError
 from labkit.finding import Finding
 from labkit.findings import found
 from labkit.key import Key
 from labkit.optics.rim import ROUND, Circle, Diaphragm, Rim
 from labkit.report.html import write_report
-from labkit.results import OptimumTest, ResidualSpectrum, Results
+from labkit.results import OptimumTest, ResidualSpectrum, Results, storage
 from labkit.results.model import PartTried, refuse_no_covariance
 from labkit.results.storage import kept_keys
 from tests.results_contracts import CONTRACT, CONTRACT_2, CONTRACT_3, printed
@@ -28,6 +30,7 @@ from tests.results_samples import (
     FOCUS,
     LENS,
     a_wavefront,
+    full_results,
     some_results,
     written,
 )
@@ -56,6 +59,26 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
         np.testing.assert_allclose(
             back.residuals.data, w.residuals.data, rtol=1e-7
         )  # kept in single precision
+
+
+def test_everything_that_results_hold_is_read_as_it_was_written(tmp_path: Path) -> None:
+    first = full_results()
+    first.write(tmp_path)
+    again = Results.load(tmp_path)
+    assert again.as_json() == first.as_json()
+    written = json.loads((tmp_path / "results.json").read_text())
+    held = [written, written["focus"], written["lens"], *written["wavefronts"]]
+    empty = {name for table in held for name, value in table.items() if value in (None, [])}
+    assert empty == {"unanswered", "twin_waves_rms", "chi2_per_freedom"}
+
+
+def test_no_key_is_defined_twice() -> None:
+    # the same table checks a file, reads it and writes it: no key is spelled anywhere else
+    for module in (storage, results.model, results.results):
+        source = inspect.getsource(module)
+        assert [
+            key for key in ("waves_rms", "global_test", "blur_um") if key in source
+        ] == []
 
 
 def test_what_a_poor_model_leaves_and_lacks_is_kept_and_told(tmp_path: Path) -> None:
