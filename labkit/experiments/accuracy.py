@@ -55,7 +55,7 @@ def work(task: Task) -> Answer:
 
 
 def run(setting: Setting) -> Outcome:
-    """RMS error over RMS bound, in dB, over random wavefronts at each SNR; most of them at the thesis's own."""
+    """Measure RMS error over RMS bound, in dB, over random wavefronts at each SNR; most at the thesis's own."""
     counts = {snr: (2 if setting.quick else 200 if snr == THE_SNR else 40) for snr in SNRS}
     tasks = [Task(seed, snr) for snr, count in counts.items() for seed in range(count)]
     answers = all_answers(setting, work, tasks, lambda task: f"SNR {task.snr:g}")
@@ -71,7 +71,7 @@ def run(setting: Setting) -> Outcome:
 
 
 def _row(snr: float, answers: Sequence[Answer]) -> dict[str, Any]:
-    """Of the table: all trials at one SNR."""
+    """Return a row of the table: all trials at one SNR."""
     errors, bounds = (
         np.array([a.error for a in answers]),
         np.array([a.bound for a in answers]),
@@ -114,7 +114,7 @@ def _claims(row: dict[str, Any]) -> list[Claim]:
 
 
 def draw(rows: list[dict[str, Any]]) -> Figure:
-    """Errors, bounds and biases against SNR."""
+    """Plot errors, bounds and biases against SNR."""
     figure = Figure(figsize=(6.0, 3.8), layout="constrained")
     axes = figure.subplots()
     snr = [row["snr"] for row in rows]

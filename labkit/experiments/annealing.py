@@ -27,7 +27,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Answer:
-    """Seconds of each; the annealing's is the cap where it had not got there. found: whether ours did."""
+    """Seconds of both methods; the annealing's is the cap if it failed. found: whether labkit succeeded."""
 
     search: float
     annealing: float
@@ -40,7 +40,11 @@ class _EnoughError(Exception):
 
 
 def work(task: Task) -> Answer:
-    """One picture. The annealing knows the pose, and is stopped as soon as it is in the right optimum; ours knows nothing."""
+    """Search one image by both methods.
+
+    The annealing knows the pose, and stops as soon as it is in the right optimum; labkit
+    knows nothing.
+    """
     rng = np.random.default_rng([43, len(task.noll), task.seed])
     trial = draw_trial(rng, noll=task.noll)
     fit = trial.fit(rng)
@@ -77,7 +81,7 @@ def work(task: Task) -> Answer:
 
 
 def run(setting: Setting) -> Outcome:
-    """Mean times over wavefronts of 0.25 waves with 7 and with 12 modes."""
+    """Measure mean times over wavefronts of 0.25 waves with 7 and with 12 modes."""
     cap = 20.0 if setting.quick else 600.0
     tasks = [
         Task(noll, seed, cap)
@@ -142,7 +146,7 @@ def _claims(
 
 
 def draw(rows: list[dict[str, Any]], cap: float) -> Figure:
-    """Times of both, picture by picture."""
+    """Plot the times of both methods for each image."""
     figure = Figure(figsize=(5.2, 3.8), layout="constrained")
     axes = figure.subplots()
     for modes, marker in ((len(SEVEN), "o"), (len(NOLL), "s")):

@@ -1,7 +1,9 @@
-"""Pictures of a carpet by another way than the one that fits them: no raster, no splines, no closed form of the halo.
+"""Simulate images of a carpet without the estimator's methods: no raster, no splines, no closed form of the
+halo.
 
-The carpet's Fourier transform is a product of cosines for every affine pose; the lens's transfer function is the
-autocorrelation of a finely sampled pupil, halo and all; pixels pick their samples from the inverse transform.
+The carpet's Fourier transform is a product of cosines for every affine pose. The lens's
+transfer function is the autocorrelation of a finely sampled pupil, halo included. Pixels
+pick their samples from the inverse transform.
 """
 
 from dataclasses import dataclass
@@ -38,10 +40,11 @@ class Camera:
         waves: Floats,
         noll: tuple[int, ...],
     ) -> Floats:
-        """(frame, frame) each pixel's share of the target's white.
+        """Return (frame, frame) each pixel's share of the target's white.
 
-        order: of the carpet, white squares on black. centre: (2,) pixel (row, col) of its middle, in the frame.
-        sides: (2, 2) its sides in pixels, columns the carpet's own y and x. waves: (modes,) RMS at this wavelength.
+        order: of the carpet, white squares on black. centre: (2,) pixel (row, col) of its
+        middle, in the frame. sides: (2, 2) its sides in pixels, columns the carpet's own y
+        and x. waves: (modes,) RMS at this wavelength.
         """
         fine = self.pixels * self.oversampling
         rows, columns = scipy.fft.rfftfreq(fine)[:, None], scipy.fft.fftfreq(fine)[None, :]
@@ -62,7 +65,7 @@ class Camera:
         )
 
     def transfer(self, waves: Floats, noll: tuple[int, ...]) -> Floats:
-        """(fine, fine // 2 + 1) transfer function of the lens at the picture's frequencies."""
+        """Return the (fine, fine // 2 + 1) transfer function of the lens at the image's frequencies."""
         fine = self.pixels * self.oversampling
         radius = (
             PUPIL_FINER
@@ -93,9 +96,10 @@ class Camera:
 
 
 def white_transform(order: int, y: Floats, x: Floats) -> Floats:
-    """Fourier transform of a carpet's white squares, the carpet one unit wide about the origin.
+    """Return the Fourier transform of a carpet's white squares, the carpet one unit wide about the origin.
 
-    y, x: frequencies, broadcast together. The black is what is left of the whole: of nine thirds eight, again and again.
+    The black cells are eight of nine thirds, again and again; the white ones are the rest.
+    y, x: frequencies, broadcast together.
     """
     whole = np.sinc(y) * np.sinc(x)
     black = np.sinc(y / 3**order) * np.sinc(x / 3**order) / 9**order

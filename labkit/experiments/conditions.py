@@ -36,7 +36,7 @@ FOUND_BOUNDS = 6.0  # an estimate nearer to the truth than so many bounds is in 
 
 @dataclass(frozen=True)
 class Trial:
-    """One simulated picture with its truth. waves: (modes,) RMS; read_noise: counts."""
+    """One simulated image with its truth. waves: (modes,) RMS; read_noise: counts."""
 
     frame: FrameData
     pose: Pose
@@ -53,7 +53,7 @@ class Trial:
         return Problem(forward_model(self.noll), (self.frame,), self.noise)
 
     def state(self, waves: Floats) -> State:
-        """A start: the truth in all but the wavefront."""
+        """Return a start: the truth except for the wavefront."""
         return State(
             np.asarray(waves, float),
             (self.pose,),
@@ -63,7 +63,9 @@ class Trial:
         )
 
     def error(self, waves: Floats) -> Floats:
-        """(modes,) of an estimate or its twin, whichever is nearer: a picture does not distinguish them."""
+        """Return the (modes,) error of an estimate or its twin, whichever is nearer: an image does not
+        distinguish them.
+        """
         twin = waves * twin_signs(self.noll)
         return np.asarray(min((waves - self.waves, twin - self.waves), key=np.linalg.norm))
 
@@ -81,9 +83,9 @@ class Trial:
         return bool(np.linalg.norm(self.error(waves)) < FOUND_BOUNDS * self.bound)
 
     def fit(self, rng: np.random.Generator) -> Found:
-        """From nothing: the target found in the picture, the wavefront searched for. rng: for further starts.
+        """Fit the image without prior knowledge: find the target, then search for the wavefront.
 
-        Raises TargetError where the target is not found.
+        rng: for further starts. Raises TargetError if the target is not found.
         """
         pose = Pose.from_corners(find_target(self.frame.counts, carpet()), carpet().size_mm)
         views = Views((self.frame,), (pose,), self.noise)
@@ -99,9 +101,9 @@ def draw_trial(
     noll: tuple[int, ...] = NOLL,
     waves_rms: float = WAVES_RMS,
 ) -> Trial:
-    """A random wavefront of a strength, at a random pose nearly upright, with noise for an SNR.
+    """Draw a random wavefront of a strength, at a random pose nearly upright, with noise for an SNR.
 
-    Raises ValueError for an SNR that the photons' own noise does not allow.
+    Raises ValueError for an SNR above the limit of photon noise.
     """
     waves = random_waves(rng, len(noll), waves_rms)
     angle, size = rng.uniform(-0.03, 0.03), SIDE_PX * rng.uniform(0.98, 1.02)
@@ -132,19 +134,19 @@ def draw_trial(
 
 
 def random_waves(rng: np.random.Generator, modes: int, waves_rms: float) -> Floats:
-    """(modes,) in a direction of chance."""
+    """Return (modes,) waves of an RMS in a random direction."""
     direction = rng.normal(size=modes)
     return np.asarray(waves_rms * direction / np.linalg.norm(direction))
 
 
 @cache
 def carpet() -> Target:
-    """Two millimetres wide; any size serves."""
+    """Return a carpet two millimetres wide; any size serves."""
     return open_target(TargetSpec(kind="sierpinski", order=ORDER, size_mm=2.0))
 
 
 def optics(noll: tuple[int, ...]) -> Optics:
-    """The camera as the estimator knows it."""
+    """Return the camera as the estimator knows it."""
     return Optics(
         wavelength_um=WAVELENGTH_UM,
         reference_um=WAVELENGTH_UM,
@@ -157,12 +159,12 @@ def optics(noll: tuple[int, ...]) -> Optics:
 
 @cache
 def upright() -> Pose:
-    """Near all poses of such pictures."""
+    """Return a pose near all poses of the images."""
     corners = (FRAME - 1) / 2 + np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]]) * SIDE_PX / 2
     return Pose.from_corners(corners, carpet().size_mm)
 
 
 @cache
 def forward_model(noll: tuple[int, ...]) -> ForwardModel:
-    """The estimator's own model of such pictures."""
+    """Return the estimator's own model of the images."""
     return ForwardModel.build(optics(noll), carpet(), (FRAME, FRAME), upright())

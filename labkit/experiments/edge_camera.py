@@ -1,7 +1,9 @@
-"""Pictures of edges by another way than the one that fits them: no slice of a transfer function, no line-spread function.
+"""Simulate images of edges without the estimator's methods: no slice of a transfer function, no line-spread
+function.
 
-The two sides of a line are drawn as areas on samples several to a pixel, laid out far beyond the frame, convolved with a
-PSF from a finely sampled pupil whose window takes in the halo, and summed over each pixel's active square.
+The two sides of a line are drawn as areas on samples several to a pixel, far beyond the
+frame, convolved with a PSF from a finely sampled pupil whose window includes the halo, and
+summed over each pixel's active square.
 """
 
 from dataclasses import dataclass
@@ -19,11 +21,12 @@ PERIODS = 2.5  # of the sampled pupil's field, in windows: what comes around is 
 
 @dataclass(frozen=True)
 class EdgeCamera:
-    """A camera with square pixels whose whole area is active, and a frame of one plane of its filter array.
+    """A camera with square pixels of full fill factor, and a frame of one plane of its filter array.
 
-    wavelength_um, f_number: of light and lens; pitch_um: of the raw's pixels; step: of them from one of the plane's to the
-    next; frame: the plane's samples along a side. finer: samples to a raw pixel, beyond the lens's Nyquist rate; reach_px: of
-    the PSF's window and of the scene beyond the frame.
+    wavelength_um, f_number: of light and lens; pitch_um: of the raw's pixels; step: raw
+    pixels between neighbours of the plane; frame: the plane's samples along a side. finer:
+    samples to a raw pixel, beyond the lens's Nyquist rate; reach_px: of the PSF's window
+    and of the scene beyond the frame.
     """
 
     wavelength_um: float
@@ -47,10 +50,11 @@ class EdgeCamera:
         waves: Floats,
         noll: tuple[int, ...],
     ) -> Floats:
-        """(frame, frame) what the plane's pixels see, the plane beginning at the raw's first pixel.
+        """Return (frame, frame) radiance in the plane's pixels, the plane beginning at the raw's first pixel.
 
-        angle: of the line's normal, radians from x (right) towards y (down); distance_px: of the line along it from the raw
-        frame's middle; sides: radiance before and beyond. waves: (modes,) RMS at this wavelength.
+        angle: of the line's normal, radians from x (right) towards y (down); distance_px:
+        of the line along the normal from the raw frame's middle; sides: radiance before and
+        beyond. waves: (modes,) RMS at this wavelength.
         """
         at = (np.arange(self.samples) + 0.5) / self.finer - self.samples / self.finer / 2
         across = at[None, :] * np.cos(angle) + at[:, None] * np.sin(angle) - distance_px
@@ -69,8 +73,11 @@ class EdgeCamera:
         )
 
     def psf(self, waves: Floats, noll: tuple[int, ...]) -> Floats:
-        """(2 reach + 1, same) samples: each one's share of all light. What lies beyond the window sees both sides alike,
-        and adds nothing to a picture whose mean radiance was taken off."""
+        """Return (2 reach + 1, same) samples: each sample's share of all light.
+
+        Light beyond the window comes equally from both sides, and adds nothing to an image
+        of zero mean radiance.
+        """
         spacing = self.pitch_um / self.finer
         reach = self.reach_px * self.finer
         period = scipy.fft.next_fast_len(int(PERIODS * (2 * reach + 1)))
@@ -100,16 +107,17 @@ class EdgeCamera:
 def _transfer(
     camera: EdgeCamera, waves: tuple[float, ...], noll: tuple[int, ...]
 ) -> Complexes:
-    """Of the PSF on the scene's samples."""
+    """Return the transfer function of the PSF on the scene's samples."""
     return np.asarray(
         scipy.fft.rfft2(camera.psf(np.array(waves), noll), (camera.samples, camera.samples))
     )
 
 
 def _covered(across: Floats, wide: float, high: float) -> Floats:
-    """Share of unit squares that lies beyond a line, whose centres are at distances `across` from it.
+    """Return the share of unit squares beyond a line at distances `across` from their centres.
 
-    The square's shadow along the normal is a trapezoid, the sum of two widths; the share is its integral.
+    The square's shadow along the normal is a trapezoid, the sum of two widths; the share is
+    its integral.
     """
     long, short = max(wide, high), max(min(wide, high), 1e-9)
 

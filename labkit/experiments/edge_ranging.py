@@ -1,7 +1,9 @@
-"""Ranges from edges: the experiment of thesis §5.2.5 and Figures 5.4 and 5.5, on pictures that share nothing with the model.
+"""Ranges from edges: the experiment of thesis §5.2.5 and Figures 5.4 and 5.5, on images independent of the
+model.
 
-A 70 mm f/2.8 lens focused at 5.012 m, one plane of a D7000's Bayer array at 450 nm, an edge of paper before an envelope at
-5 m and one at 7.7 m; a lens of 0.1 waves that a session knows to 0.002 waves a mode.
+A 70 mm f/2.8 lens focused at 5.012 m, one plane of a D7000's Bayer array at 450 nm, an edge
+of paper before an envelope at 5 m and one at 7.7 m; a lens of 0.1 waves that a session
+knows to 0.002 waves a mode.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -61,7 +63,7 @@ OTHER_CAMERAS = {
 
 @dataclass(frozen=True)
 class Lens:
-    """One lens and the scenes that it is used for. seed: of its modes and of the scenes."""
+    """One lens and its scenes. seed: of its modes and of the scenes."""
 
     seed: int
     scenes: int
@@ -69,8 +71,11 @@ class Lens:
 
 @dataclass(frozen=True)
 class Ranged:
-    """An edge of a scene, as the command reports it: range, its estimate and standard error, mm, and those of the other side of
-    best focus, nan where the picture excludes it."""
+    """An edge of a scene, as the command reports it.
+
+    Range, its estimate and standard error, mm, then estimate and error on the other side of
+    best focus, nan if the image excludes this side.
+    """
 
     range_mm: float
     found_mm: float
@@ -80,7 +85,7 @@ class Ranged:
 
     @property
     def nearest(self) -> tuple[float, float]:
-        """Error and standard error, mm, of the side that is nearer to the truth."""
+        """Error and standard error, mm, of the side nearer to the truth."""
         sides = [
             (self.found_mm - self.range_mm, self.std_mm),
             (self.other_mm - self.range_mm, self.other_std_mm),
@@ -89,17 +94,17 @@ class Ranged:
 
     @property
     def row(self) -> dict[str, float]:
-        """Of the table."""
+        """Row of the table."""
         return {field.name: round(getattr(self, field.name), 6) for field in fields(self)}
 
 
 def law() -> FocusLaw:
-    """As the thesis has it: the lens is known exactly."""
+    """Return the thesis's law of focus: the lens is known exactly."""
     return FocusLaw(LENS, ("B",), (FOCUS_MM,), np.zeros((5, 5)), WAVELENGTH_NM)
 
 
 def optics() -> Optics:
-    """The camera as the estimator knows it."""
+    """Return the camera as the estimator knows it."""
     um = WAVELENGTH_NM * 1e-3
     return Optics(
         wavelength_um=um,
@@ -112,7 +117,7 @@ def optics() -> Optics:
 
 
 def range_scenes(lens: Lens) -> list[Ranged]:
-    """Scenes of two edges each, both fitted jointly from nothing but their boxes."""
+    """Range scenes of two edges each, both fitted jointly from their boxes alone."""
     rng = np.random.default_rng(lens.seed)
     modes = rng.normal(size=len(NOLL) - 1)
     modes *= LENS_WAVES / np.linalg.norm(modes)
@@ -141,7 +146,7 @@ def range_scenes(lens: Lens) -> list[Ranged]:
 def _ranged(
     means: list[Floats], true: list[float], known: LensPrior, rng: np.random.Generator
 ) -> list[Ranged]:
-    """One scene."""
+    """Range one scene."""
     noise = NoisePrior(GAIN, 2.0, READ_NOISE**2, 2.0)
     regions = tuple(_region(mean, depth, rng) for depth, mean in enumerate(means))
     problem = EdgeProblem((optics(),), regions, (noise,), known)
@@ -181,7 +186,7 @@ def _region(mean_e: Floats, depth: int, rng: np.random.Generator) -> Region:
 
 
 def uncertainty_mm(lens: ThinLens, range_mm: Floats | float) -> Floats:
-    """Of a range about best focus there, where defocus is known to DEFOCUS_WAVES. Thesis Figure 5.5."""
+    """Return the uncertainty of a range at best focus for a defocus known to DEFOCUS_WAVES. Thesis Figure 5.5."""
     at = np.asarray(range_mm, float)
     step = 1e-4 * at
     change = defocus_waves(lens, at + step, at, WAVELENGTH_NM) - defocus_waves(
@@ -191,7 +196,7 @@ def uncertainty_mm(lens: ThinLens, range_mm: Floats | float) -> Floats:
 
 
 def run(setting: Setting) -> Outcome:
-    """Errors of ranges at 5 m and 7.7 m, over their standard errors, and what other cameras could do."""
+    """Measure errors of ranges at 5 m and 7.7 m over their standard errors, and predict other cameras."""
     lenses = [
         Lens(seed, 1 if setting.quick else 6) for seed in range(2 if setting.quick else 18)
     ]
@@ -214,7 +219,10 @@ def run(setting: Setting) -> Outcome:
 
 
 def _claims(of: list[Ranged], at: str, thesis: float) -> list[Claim]:
-    """Of one range. Where both sides of best focus are reported, errors are those of the nearer one."""
+    """Return the claims of one range.
+
+    If both sides of best focus are reported, errors are of the nearer side.
+    """
     error, std = np.array([r.nearest for r in of]).T
     both = float(np.mean([np.isfinite(r.other_mm) for r in of]))
     pull = error / std
@@ -249,7 +257,7 @@ def _claims(of: list[Ranged], at: str, thesis: float) -> list[Claim]:
 
 
 def _drawn(every: list[Ranged]) -> Figure:
-    """Figure 5.4 (b), errors over range, and Figure 5.5."""
+    """Plot Figure 5.4 (b), errors over range, and Figure 5.5."""
     figure = Figure(figsize=(8.0, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2)
     at = np.linspace(4000, 9000, 200)

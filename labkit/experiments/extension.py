@@ -38,7 +38,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Answer:
-    """filled: (SIDE, SIDE) radiance by method; seconds: that each took."""
+    """filled: (SIDE, SIDE) radiance by method; seconds: of each method."""
 
     truth: Floats
     known: Bools
@@ -46,20 +46,20 @@ class Answer:
     seconds: dict[str, float]
 
     def psnr_db(self, method: str, *, whole: bool) -> float:
-        """Against the full range of radiance, over the interior or all of the picture."""
+        """Return the PSNR against the full range of radiance, over the interior or the whole image."""
         error = self.filled[method] - self.truth
         return float(-10 * np.log10(np.mean((error if whole else interior(error)) ** 2)))
 
 
 def interior(image: Floats) -> Floats:
-    """What is not exterior."""
+    """Return the part of an image that is not exterior."""
     return image[EXTERIOR:-EXTERIOR, EXTERIOR:-EXTERIOR]
 
 
 def picture(name: str) -> Floats:
-    """(SIDE, SIDE) radiance 0..1: the middle of one of scikit-image's pictures.
+    """Return (SIDE, SIDE) radiance 0..1: the middle of one of scikit-image's pictures.
 
-    Raises InputError where scikit-image is missing.
+    Raises InputError without scikit-image.
     """
     whole = np.asarray(getattr(_skimage("data"), name)(), dtype=np.float64) / 255
     many = min(whole.shape) // SIDE
@@ -69,7 +69,9 @@ def picture(name: str) -> Floats:
 
 
 def masks(rng: np.random.Generator) -> dict[str, Bools]:
-    """(SIDE, SIDE) what is known: all but a checkerboard's squares, scattered samples, squares, or scratches."""
+    """Return (SIDE, SIDE) masks of known samples: without a checkerboard's squares, scattered samples, squares,
+    scratches.
+    """
     row, col = np.indices((SIDE, SIDE))
     scratches = np.zeros((SIDE, SIDE), np.uint8)
     for ends in rng.integers(0, SIDE, (24, 4)):
@@ -123,7 +125,7 @@ def work(task: Task) -> Answer:
 
 
 def run(setting: Setting) -> Outcome:
-    """Peak signal-to-noise ratio of each way to fill, with the exterior unknown (A.2) and known (A.3)."""
+    """Measure the peak signal-to-noise ratio of each method, with the exterior unknown (A.2) and known (A.3)."""
     names = list(masks(np.random.default_rng(0)))
     pictures, which = (PICTURES[:1], names[:2]) if setting.quick else (PICTURES, names)
     tasks = [Task(p, m, known) for known in (False, True) for p in pictures for m in which]
@@ -166,7 +168,10 @@ def run(setting: Setting) -> Outcome:
 
 
 def _claims(rows: list[dict[str, Any]], n: int) -> list[Claim]:
-    """The thesis's figures are of its own picture and mask, beside other methods: its sparse and PDE in-painting."""
+    """Return the claims; the thesis's figures are of another picture and mask, and of other methods.
+
+    The thesis compares sparse and PDE in-painting.
+    """
 
     def mean(figure: str, method: str, key: str = "psnr_db") -> float:
         return float(

@@ -1,4 +1,4 @@
-"""How often a quasi-Newton maximisation from no wavefront ends in a wrong optimum: thesis §4.1."""
+"""Rate of wrong optima of a quasi-Newton maximisation from zero wavefront: thesis §4.1."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ class Answer:
 
 
 def work(seed: int) -> Answer:
-    """Three maximisations in one picture, its pose known to all of them."""
+    """Maximise three times in one image, its pose known each time."""
     rng = np.random.default_rng([41, seed])
     trial = draw_trial(rng)
     near = random_waves(rng, len(trial.noll), START_WAVES)
@@ -41,7 +41,7 @@ def work(seed: int) -> Answer:
 
 
 def quasi_newton(trial: Trial, start: Floats) -> Floats:
-    """SciPy's L-BFGS-B on the likelihood of the wavefront, all else at the truth."""
+    """Maximise the likelihood of the wavefront by SciPy's L-BFGS-B, all other parameters at the truth."""
     problem, modes = trial.problem, len(trial.noll)
     drawing = problem.draw(trial.state(start))
 
@@ -56,7 +56,7 @@ def quasi_newton(trial: Trial, start: Floats) -> Floats:
 
 
 def run(setting: Setting) -> Outcome:
-    """Share of random wavefronts of 0.25 waves for which each maximisation ends in a wrong optimum."""
+    """Measure the share of random wavefronts of 0.25 waves for which each maximisation ends in a wrong optimum."""
     trials = 2 if setting.quick else 50
     answers = all_answers(setting, work, list(range(trials)), lambda seed: "wavefronts")
     rows = [
@@ -85,7 +85,10 @@ def run(setting: Setting) -> Outcome:
 
 
 def draw(rows: list[dict[str, Any]], wrong: Sequence[float]) -> Figure:
-    """Histograms of the errors of the ends. wrong: shares, in the order of the columns."""
+    """Plot histograms of the final errors.
+
+    wrong: shares, in the order of the columns
+    """
     figure = Figure(figsize=(6.4, 3.6), layout="constrained")
     axes = figure.subplots()
     edges = [float(edge) for edge in np.geomspace(3e-4, 1.0, 40)]

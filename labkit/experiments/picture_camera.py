@@ -1,7 +1,7 @@
-"""Pictures of scenes that are no targets, formed without the model that restores them: squares, transformed exactly.
+"""Simulate images of general scenes, without the model that restores them: squares, transformed exactly.
 
-The scene is an array of squares that repeats itself, its Fourier transform that of the array times a square's; the lens's
-transfer function is the autocorrelation of a finely sampled pupil.
+The scene is a periodic array of squares; its Fourier transform is the array's times a
+square's. The lens's transfer function is the autocorrelation of a finely sampled pupil.
 """
 
 from __future__ import annotations
@@ -18,8 +18,12 @@ from labkit.types import Complexes, Floats
 
 @dataclass(frozen=True, eq=False)
 class PictureCamera:
-    """scene: (n, n) radiance of squares, `squares` of them to a pixel along a side. camera: n = squares times its pixels.
-    waves: (modes,) RMS at the camera's wavelength. The centre of square (0, 0) is that of the torus's pixel (0, 0)."""
+    """A camera in front of a periodic scene of squares.
+
+    scene: (n, n) radiance of squares, `squares` of them to a pixel along a side. camera: n
+    = squares times its pixels. waves: (modes,) RMS at the camera's wavelength. The centre
+    of square (0, 0) is that of the torus's pixel (0, 0).
+    """
 
     scene: Floats
     squares: int
@@ -35,7 +39,7 @@ class PictureCamera:
             )
 
     def mean(self, shift_px: tuple[float, float] = (0.0, 0.0)) -> Floats:
-        """(frame, frame) what every pixel sees, the scene moved down and right."""
+        """Return (frame, frame) mean radiance in every pixel, the scene moved down and right."""
         camera = self.camera
         rows, columns = self._frequencies
         moved = np.exp(-2j * np.pi * (rows * shift_px[0] + columns * shift_px[1]))
@@ -49,7 +53,9 @@ class PictureCamera:
         )
 
     def truth(self, samples: int) -> Floats:
-        """(samples frame, samples frame) mean radiance over squares about samples, the first in the first pixel's centre."""
+        """Return (samples frame, samples frame) mean radiance over squares about samples, the first in the
+        first pixel's centre.
+        """
         count = self.camera.pixels * samples
         edges = (
             (np.arange(count + 1) - 0.5) / samples * self.squares + 0.5

@@ -20,17 +20,23 @@ AIRY_UM, WIDTH = 4.4, 16  # lambda N; the PSF is compared over so many of them
 
 
 def pupil_of(diameter: int) -> Pupil:
-    """So many samples across, its PSF with four samples to lambda N: radius = size * spacing / (2 lambda N)."""
+    """Return a pupil `diameter` samples across, its PSF with four samples to lambda N.
+
+    The radius is size * spacing / (2 lambda N).
+    """
     return Pupil(0.55, 0.55, 8.0, AIRY_UM / 4, 4 * diameter, NOLL)
 
 
 def psf_of(diameter: int, waves: Floats) -> Floats:
-    """(65, 65) PSF, four samples to lambda N, of a smooth pupil so many samples across."""
+    """Return the (65, 65) PSF, four samples to lambda N, of a smooth pupil `diameter` samples across."""
     return _middle(pupil_of(diameter).psf(waves))
 
 
 def perfect_psf_of(diameter: int, edge: str) -> Floats:
-    """The same without wavefront. edge: what its samples hold, "smooth", "shaded" (the disc's area), or "binary"."""
+    """Return the PSF without aberration.
+
+    edge: content of the edge's samples: "smooth", "shaded" (the disc's area), or "binary"
+    """
     pupil = pupil_of(diameter)
     half = len(pupil.amplitude) // 2
     area = disc_area(np.arange(-half, half + 1.0), pupil.radius)
@@ -53,7 +59,9 @@ def _middle(psf: Floats) -> Floats:
 
 
 def run(setting: Setting) -> Outcome:
-    """Summed absolute error of the PSF for a change of 1e-3 waves, and for three kinds of a pupil's edge."""
+    """Measure the PSF's summed absolute error for a change of 1e-3 waves, and for three kinds of a pupil's
+    edge.
+    """
     rng = np.random.default_rng(6)
     diameters = (
         (31, 65, 129) if setting.quick else (31, 45, 65, 91, 129, 181, 225, 257, 361)
@@ -99,7 +107,7 @@ def run(setting: Setting) -> Outcome:
 
 
 def _drawn(varied: Floats, rows: list[dict[str, float]]) -> Figure:
-    """Both studies beside each other."""
+    """Plot both studies side by side."""
     figure = Figure(figsize=(8.0, 3.4), layout="constrained")
     left, right = figure.subplots(1, 2)
     left.hist(1e3 * varied, 30)

@@ -65,14 +65,16 @@ SEVERAL, COLOURS = "four frames", "three colours"
 
 @dataclass(frozen=True, slots=True)
 class Light:
-    """One colour's pixels in the cell, and the lens in its light. defocus_waves: RMS at the reference wavelength."""
+    """One colour's pixels in the cell, and the lens at its wavelength. defocus_waves: RMS at the reference
+    wavelength.
+    """
 
     places: tuple[tuple[int, int], ...]
     wavelength_um: float
     defocus_waves: float
 
     def waves(self) -> Floats:
-        """(modes,) at the reference wavelength."""
+        """Return (modes,) waves at the reference wavelength."""
         return np.where(np.array(NOLL) == 4, self.defocus_waves, WAVES)
 
 
@@ -86,7 +88,7 @@ LIGHTS = {
 
 @dataclass(frozen=True)
 class Task:
-    """samples: to a pixel, of what is restored; fewer err more, and are quicker."""
+    """samples: restored samples to a pixel; fewer samples err more, and are quicker."""
 
     picture: str
     samples: int = SAMPLES
@@ -105,7 +107,7 @@ class Answer:
     covered: tuple[float, float]
 
     def rmse(self, method: str, inside: bool = False) -> float:
-        """Relative to white, over the frame or what is inside it."""
+        """Return the RMS error relative to white, over the frame or its inner part."""
         apart = self.restored[method] - self.truth
         border = INSIDE_PX * self.samples
         return float(
@@ -115,13 +117,13 @@ class Answer:
         )
 
     def ssim(self, method: str) -> float:
-        """Structural similarity, of white's range."""
+        """Return the structural similarity, relative to white's range."""
         similarity = _skimage("metrics").structural_similarity
         return float(similarity(self.truth, self.restored[method], data_range=1.0))
 
 
 def scene(name: str) -> Floats:
-    """(3, n, n) radiance 0..1 of a picture's middle, mirrored where it is too small; of a grey one all colours are the same.
+    """Return (3, n, n) radiance 0..1 of a picture's middle, mirrored if too small, equal colours if grey.
 
     Raises InputError without scikit-image.
     """
@@ -142,7 +144,7 @@ def job_of(
     names: str = "R",
     defocus_only: bool = False,
 ) -> Job:
-    """Some colours of frames, as the estimator knows the camera; where they stand is registered."""
+    """Return a job of some colours of frames, with the estimator's knowledge; positions are registered."""
     lenses = [_lens(name, defocus_only) for name in names]
     used = np.zeros(frames[0].shape, bool)
     for lens in lenses:
@@ -180,7 +182,7 @@ def _lens(name: str, defocus_only: bool) -> Colour:
 
 
 def work(task: Task) -> Answer:
-    """Photograph one scene, and restore red of it in every way."""
+    """Photograph one scene, and restore its red channel by every method."""
     rng = np.random.default_rng(PICTURES.index(task.picture))
     worlds = _worlds(task.picture)
     shifts = [(0.0, 0.0), *map(tuple, rng.uniform(-2, 2, (FRAMES - 1, 2)))]
@@ -210,7 +212,7 @@ def work(task: Task) -> Answer:
 
 
 def _worlds(picture: str) -> dict[str, PictureCamera]:
-    """The scene in each colour."""
+    """Return the scene in each colour."""
     worlds = {}
     for (name, light), radiance in zip(LIGHTS.items(), scene(picture), strict=True):
         camera = Camera(light.wavelength_um, F_NUMBER, PITCH_UM, TORUS, FRAME, 8)
@@ -220,7 +222,7 @@ def _worlds(picture: str) -> dict[str, PictureCamera]:
 
 
 def _mosaic(worlds: dict[str, PictureCamera], shift_px: tuple[float, float]) -> Floats:
-    """(frame, frame) what Bayer's pixels see, relative to white."""
+    """Return (frame, frame) mean radiance in a Bayer array's pixels, relative to white."""
     mosaic = np.empty((FRAME, FRAME))
     for name, world in worlds.items():
         mean = world.mean(shift_px)
@@ -230,14 +232,14 @@ def _mosaic(worlds: dict[str, PictureCamera], shift_px: tuple[float, float]) -> 
 
 
 def _exposed(mean: Floats, rng: np.random.Generator) -> Floats:
-    """Counts above black, rounded."""
+    """Return counts above black, rounded."""
     return np.rint(
         GAIN * rng.poisson(mean.clip(0) / GAIN) + rng.normal(0, READ_NOISE, mean.shape)
     )
 
 
 def _best(name: str, job: Job, truth: Floats) -> Floats:
-    """Another method's scene with the setting that suits the truth best; no further ones are tried once they get worse."""
+    """Return another method's scene with the setting nearest the truth; stop once settings get worse."""
     blurred, psf = interpolated(job, 0) / WHITE, psf_of(job, 0)
     reach, best, least = GUARD * job.samples, blurred, np.inf
     wide, method = np.pad(blurred, reach, mode="reflect"), METHODS[name]
@@ -252,7 +254,7 @@ def _best(name: str, job: Job, truth: Floats) -> Floats:
 
 
 def run(setting: Setting) -> Outcome:
-    """RMSE, PSNR and SSIM of every method on every scene."""
+    """Measure RMSE, PSNR and SSIM of every method on every scene."""
     tasks = (
         [Task(PICTURES[0], QUICK_SAMPLES)]
         if setting.quick
@@ -278,7 +280,7 @@ def run(setting: Setting) -> Outcome:
 
 
 def _claims(rows: list[dict[str, Any]], n: int) -> list[Claim]:
-    """The thesis gives its figure's RMSE of its own target; the order of the methods is to be compared."""
+    """Return the claims; the thesis's RMSE is of its own target, so only the methods' order is comparable."""
 
     def mean(method: str, key: str) -> float:
         return float(np.mean([row[key] for row in rows if row["method"] == method]))

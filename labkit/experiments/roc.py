@@ -34,7 +34,9 @@ TESTS: dict[str, Test] = {
 
 
 def run(setting: Setting) -> Outcome:
-    """Each test on the global and on the deepest wrong optimum of many draws; how often the first looks worse."""
+    """Apply each test to the global and the deepest wrong optimum of many draws; count where the first looks
+    worse.
+    """
     rng = np.random.default_rng(SEED)
     kept = draws(rng, 150 if setting.quick else 4000, setting.progress)
     of = {name: statistics(test, kept) for name, test in TESTS.items()}
@@ -65,7 +67,7 @@ def run(setting: Setting) -> Outcome:
 
 
 def draw(alarms: Floats, curves: dict[str, Floats]) -> Figure:
-    """The curves."""
+    """Plot the curves."""
     figure = Figure(figsize=(5.2, 4.4), layout="constrained")
     axes = figure.subplots()
     for name, curve in curves.items():
@@ -83,7 +85,7 @@ def draw(alarms: Floats, curves: dict[str, Floats]) -> Figure:
 def draws(
     rng: np.random.Generator, count: int, progress: Progress = no_progress
 ) -> list[tuple[Floats, Optima]]:
-    """Of so many draws of data (100,) those whose global optimum is the true one and which have another."""
+    """Return the draws of data (100,) whose global optimum is the true one, and which have another."""
     kept = []
     for k in range(count):
         data = np.sin(TRUE * X) + rng.normal(size=X.size)
@@ -95,7 +97,7 @@ def draws(
 
 
 def statistics(test: Test, kept: Sequence[tuple[Floats, Optima]]) -> tuple[Floats, Floats]:
-    """A test's statistics of right and of wrong optima, (draws,) each."""
+    """Return a test's statistics of right and of wrong optima, (draws,) each."""
     right, wrong = (
         [test(data, getattr(optima, which)) for data, optima in kept]
         for which in ("best", "other")
@@ -104,11 +106,11 @@ def statistics(test: Test, kept: Sequence[tuple[Floats, Optima]]) -> tuple[Float
 
 
 def detection(right: Floats, wrong: Floats, alarms: Floats) -> Floats:
-    """Share of wrong optima above the threshold that so many right ones exceed."""
+    """Return the share of wrong optima above the threshold for each rate of false alarms."""
     thresholds = np.quantile(right, 1 - alarms)
     return np.asarray(np.mean(wrong[:, None] > thresholds, axis=0))
 
 
 def area(right: Floats, wrong: Floats) -> float:
-    """Chance that a wrong optimum looks worse than a right one."""
+    """Return the probability that a wrong optimum looks worse than a right one."""
     return float(np.mean(wrong[:, None] > right) + 0.5 * np.mean(wrong[:, None] == right))

@@ -27,7 +27,7 @@ Answer = TypeVar("Answer")
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """One figure. thesis: what stands there, None where nothing does; n: trials."""
+    """One figure. thesis: its value in the thesis, None if absent; n: trials."""
 
     what: str
     thesis: float | None
@@ -38,7 +38,7 @@ class Claim:
 
 @dataclass(frozen=True)
 class Setting:
-    """How a study is to be run. quick: few trials, a minute at most; workers: processes."""
+    """Settings of a study. quick: few trials, a minute at most; workers: processes."""
 
     quick: bool
     workers: int
@@ -60,7 +60,7 @@ def all_answers(
     tasks: Sequence[Task],
     label: Callable[[Task], str],
 ) -> list[Answer]:
-    """The answer to every task, in the tasks' order; progress names the one that ended last."""
+    """Return the answer to every task, in the tasks' order; progress names the last finished task."""
     answers: dict[int, Answer] = {}
     for index, answer in run_all(work, tasks, setting.workers):
         answers[index] = answer
@@ -123,5 +123,5 @@ def _twos_and_fives(value: float, _: object) -> str:
 
 
 def _or_none(value: float) -> float | None:
-    """JSON knows no NaN: None where nothing was measured."""
+    """Return a value, or None for NaN, which JSON lacks."""
     return value if math.isfinite(value) else None

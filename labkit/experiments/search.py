@@ -1,4 +1,4 @@
-"""The global search from nothing against SNR: thesis Figure 4.16; and where it begins to fail."""
+"""The global search against SNR, without prior knowledge: thesis Figure 4.16; and its limits."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ NOLL_22 = tuple(range(4, 26))
 
 @dataclass(frozen=True)
 class Condition:
-    """What is varied. trials: in the full study."""
+    """A varied condition. trials: in the full study."""
 
     snr: float
     noll: tuple[int, ...] = NOLL
@@ -44,10 +44,10 @@ QUICK = (Condition(50.0, trials=2), Condition(75.0, waves_rms=0.35, trials=1))
 
 @dataclass(frozen=True)
 class Answer:
-    """found: the true optimum; error, bound: waves RMS; lost: the target was not found.
+    """found: the true optimum; error, bound: waves RMS; lost: whether the target was not found.
 
-    right_starts: share of single random starts, the pose known, that end where one from the truth does; small_error: of
-    that end, waves RMS.
+    right_starts: share of single random starts, the pose known, with the same end as a
+    start at the truth; small_error: of this end, waves RMS.
     """
 
     bound: float
@@ -62,7 +62,7 @@ class Answer:
 
 
 def work(task: tuple[Condition, int]) -> Answer:
-    """One picture, from nothing."""
+    """Fit one image without prior knowledge."""
     condition, seed = task
     rng = np.random.default_rng(
         [seed, round(condition.snr), len(condition.noll), round(100 * condition.waves_rms)]
@@ -86,7 +86,7 @@ def work(task: tuple[Condition, int]) -> Answer:
 
 
 def _single_starts(trial: Trial, rng: np.random.Generator) -> tuple[float, float]:
-    """Share of random starts of the small problem that end right, and the error of that end."""
+    """Return the share of random starts of the small problem with the right end, and the error of this end."""
     here = trial.state(np.zeros(len(trial.noll)))
     small = PhaseRetrieval.prepare(
         optics(trial.noll), carpet(), trial.frame, trial.noise, here
@@ -102,7 +102,7 @@ def _single_starts(trial: Trial, rng: np.random.Generator) -> tuple[float, float
 
 
 def run(setting: Setting) -> Outcome:
-    """How often the search reaches the true optimum, whether it knows, and how long it takes."""
+    """Measure how often the search reaches the true optimum, whether the tests agree, and the time."""
     conditions = QUICK if setting.quick else CONDITIONS
     tasks = [
         (condition, seed) for condition in conditions for seed in range(condition.trials)
@@ -131,7 +131,7 @@ def run(setting: Setting) -> Outcome:
 
 
 def _row(condition: Condition, answers: Sequence[Answer]) -> dict[str, Any]:
-    """Of the table: all trials under one condition."""
+    """Return a row of the table: all trials under one condition."""
     found = [a for a in answers if a.found]
     wrong = [a for a in answers if not a.found and not a.lost]
     seconds = [a.seconds for a in answers if not a.lost]
@@ -177,7 +177,7 @@ def _claims(label: str, row: dict[str, Any]) -> list[Claim]:
 
 
 def draw(rows: list[dict[str, Any]]) -> Figure:
-    """Errors beside their bounds; how often stronger wavefronts are found."""
+    """Plot errors beside their bounds, and the success with stronger wavefronts."""
     figure = Figure(figsize=(8.0, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2)
     twelve = [

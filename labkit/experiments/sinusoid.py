@@ -15,14 +15,16 @@ SIGNALS = np.sin(GRID[:, None] * X)
 
 @dataclass(frozen=True)
 class Optima:
-    """Of one draw of data (100,): the global minimum of the misfit over frequencies and the deepest other one, refined."""
+    """Optima of one draw of data (100,), refined: the global minimum of the misfit over frequencies and the
+    next.
+    """
 
     best: float
     other: float
 
 
 def find_optima(data: Floats) -> Optima | None:
-    """Global and deepest other local minimum over [0, 4 pi], ends left out; None where there is no other."""
+    """Return the global and the deepest other local minimum inside [0, 4 pi]; None without another."""
     misfit = np.sum((data - SIGNALS) ** 2, axis=1)
     inside = np.flatnonzero((misfit[1:-1] < misfit[:-2]) & (misfit[1:-1] < misfit[2:])) + 1
     if inside.size < 2:
@@ -40,22 +42,25 @@ def _refined(data: Floats, frequency: float) -> float:
 
 
 def log_likelihood(data: Floats, frequency: float) -> float:
-    """Of unit noise, less its constant: its expectation under the frequency itself is -50, its deviation sqrt(50)."""
+    """Return the log-likelihood of unit noise, less its constant.
+
+    Its expectation under the frequency itself is -50, its deviation sqrt(50).
+    """
     return float(-0.5 * np.sum((data - np.sin(frequency * X)) ** 2))
 
 
 def two_sided(data: Floats, frequency: float) -> float:
-    """Biernacki's test (4.10): large for a local optimum."""
+    """Return the statistic of Biernacki's test (4.10), large for a local optimum."""
     return (log_likelihood(data, frequency) + 50) ** 2 / 50
 
 
 def one_sided(data: Floats, frequency: float) -> float:
-    """The one-sided test (4.12), sign changed so that large means local."""
+    """Return the statistic of the one-sided test (4.12), with the sign that makes local optima large."""
     return float(-(log_likelihood(data, frequency) + 50) / np.sqrt(50))
 
 
 def chirp_gap(degrees: int) -> Callable[[Floats, float], float]:
-    """The gap (4.21) of the plain relaxation sin(t0 x + t1 x^2 + ...), with so many more degrees of freedom."""
+    """Return the gap (4.21) of the plain relaxation sin(t0 x + t1 x^2 + ...), with more degrees of freedom."""
     powers = X ** np.arange(1, degrees + 2)[:, None]
 
     def gap(data: Floats, frequency: float) -> float:
@@ -81,10 +86,11 @@ def chirp_gap(degrees: int) -> Callable[[Floats, float], float]:
 
 
 def relaxation(count: int = 1) -> Floats:
-    """(count, 100) directions of Algorithm 4.9: the embedding is all of R^100, its information the identity.
+    """Return (count, 100) directions of Algorithm 4.9: the embedding is all of R^100, its information the
+    identity.
 
-    Noise-free data of 100 frequencies; the whitened score at every wrong optimum is the residual; the first left
-    singular vectors of all of them.
+    Noise-free data of 100 frequencies; the whitened score at every wrong optimum is the
+    residual; the directions are the first left singular vectors of all residuals.
     """
     scores = []
     for frequency in np.linspace(0, HIGHEST, 100):
@@ -105,7 +111,7 @@ def relaxation(count: int = 1) -> Floats:
 
 
 def linear_gap(directions: Floats) -> Callable[[Floats, float], float]:
-    """The gap of the relaxation sin(t x) + sum_k c_k r_k, from the optimum on, by Gauss-Newton steps over all of it."""
+    """Return the gap of the relaxation sin(t x) + sum_k c_k r_k from the optimum, by Gauss-Newton steps."""
 
     def gap(data: Floats, frequency: float) -> float:
         first = log_likelihood(data, frequency)

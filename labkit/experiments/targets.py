@@ -1,4 +1,4 @@
-"""How well each target determines a wavefront: its Cramér-Rao bound against read noise, thesis Figure 3.9."""
+"""Cramér-Rao bounds of a wavefront from each target against read noise, thesis Figure 3.9."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -44,7 +44,10 @@ class Task:
 
 
 def bounds(target: Target, trial: Trial, read_noises: Sequence[float]) -> list[Bound]:
-    """Of all parameters, for each read noise in counts: the trial's wavefront, pose and light with another target."""
+    """Return the bounds of all parameters for each read noise in counts.
+
+    The trial's wavefront, pose and light are kept, with another target.
+    """
     model = ForwardModel.build(optics(trial.noll), target, (FRAME, FRAME), trial.pose)
     bounds_ = []
     for read_noise in read_noises:
@@ -59,7 +62,7 @@ def bounds(target: Target, trial: Trial, read_noises: Sequence[float]) -> list[B
 
 
 def work(task: Task) -> tuple[Floats, str]:
-    """RMS bound of the wavefront (read noises,), infinite where it is not determined, and what is not, in words."""
+    """Return the RMS bound of the wavefront (read noises,), infinite if undetermined, and the reason in words."""
     trial = draw_trial(np.random.default_rng(task.seed))
     by_noise = bounds(open_target(SPECS[task.target]), trial, READ_NOISES)
     open_ = "; ".join(
@@ -69,7 +72,7 @@ def work(task: Task) -> tuple[Floats, str]:
 
 
 def run(setting: Setting) -> Outcome:
-    """RMS over random wavefronts of each target's bound, all with the same white, pose and light."""
+    """Compute each target's RMS bound over random wavefronts, with the same white, pose and light."""
     trials = 2 if setting.quick else 40
     tasks = [Task(seed, name) for name in SPECS for seed in range(trials)]
     answers = all_answers(setting, work, tasks, lambda task: task.target)
@@ -110,7 +113,7 @@ def run(setting: Setting) -> Outcome:
 def _rows(
     name: str, rms: Floats, answers: Sequence[tuple[Floats, str]]
 ) -> list[dict[str, Any]]:
-    """Of the table: one target, a row for each read noise."""
+    """Return rows of the table: one target, a row for each read noise."""
     bounds_, open_ = (
         np.array([bound for bound, _ in answers]),
         sorted({words for _, words in answers} - {""}),
@@ -130,7 +133,7 @@ def _rows(
 
 
 def draw(rms: dict[str, Floats]) -> Figure:
-    """Bounds of all targets against read noise."""
+    """Plot bounds of all targets against read noise."""
     figure = Figure(figsize=(6.0, 3.8), layout="constrained")
     axes = figure.subplots()
     for name, mark in zip(SPECS, "so^Dv", strict=True):

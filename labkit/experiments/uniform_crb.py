@@ -1,4 +1,4 @@
-"""What a biased estimator could gain: the uniform Cramér-Rao bound of defocus, thesis Figure 3.6."""
+"""The possible gain of a biased estimator: the uniform Cramér-Rao bound of defocus, thesis Figure 3.6."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -30,7 +30,7 @@ class Answer:
 
 
 def work(task: tuple[float, int]) -> Answer:
-    """The bound for one wavefront, the pixels so many times as far apart as Nyquist's."""
+    """Return the bound for one wavefront, with pixels at a multiple of Nyquist's distance."""
     times, seed = task
     trial = draw_trial(np.random.default_rng([36, seed]))
     sampled = replace(
@@ -68,7 +68,7 @@ def run(setting: Setting) -> Outcome:
 
 
 def _row(times: float, seed: int, covariance: Floats) -> dict[str, Any]:
-    """Of the table. The gain is at a bias gradient of 1 % of the estimate's own slope."""
+    """Return a row of the table, with the gain at a bias gradient of 1 % of the estimate's own slope."""
     return {
         "undersampled": times,
         "seed": seed,
@@ -103,7 +103,7 @@ def _claims(label: str, rows: list[dict[str, Any]]) -> list[Claim]:
 
 
 def draw(curves: dict[float, tuple[Floats, Floats]]) -> Figure:
-    """Bounds on defocus against the norm of the bias gradient."""
+    """Plot bounds on defocus against the norm of the bias gradient."""
     figure = Figure(figsize=(5.6, 3.6), layout="constrained")
     axes = figure.subplots()
     for times, (delta, bound) in curves.items():
@@ -120,7 +120,7 @@ def draw(curves: dict[float, tuple[Floats, Floats]]) -> Figure:
 
 
 def _gain(covariance: Floats, bias: float) -> float:
-    """By how much the bound on the standard error falls where the bias gradient may have a norm."""
+    """Return the relative decrease of the standard error's bound for a norm of the bias gradient."""
     delta, bound = uniform_bound(
         covariance, 0, np.geomspace(1e6, 1e-3, 400) * covariance[0, 0]
     )

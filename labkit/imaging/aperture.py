@@ -1,4 +1,4 @@
-"""The lit part of a panel's stripes: two numbers that the target is drawn by, which fits estimate next to the camera's."""
+"""The lit part of a panel's stripes: two numbers of the drawn target, which fits estimate with the camera's."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ LEAST = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Aperture(Estimated):
-    """Shares of its width and of its length by which more of a stripe is lit than usual: `labkit.panel.drawn_target`.
+    """Excess of a stripe's lit width and length over the usual, as shares: `labkit.panel.drawn_target`.
 
-    `labkit.imaging.scene` draws the target by it; the transfer function does not depend on it.
+    `labkit.imaging.scene` draws the target accordingly; the transfer function does not
+    depend on the aperture.
     """
 
     across: float = 0.0
@@ -36,7 +37,7 @@ class Aperture(Estimated):
 
     @classmethod
     def wanted(cls, plan: Plan) -> Self | None:
-        """Return the usual aperture if a plan states a panel's pixels but not what is lit of them, else None."""
+        """Return the usual aperture if a plan states a panel's pixels but not their lit part, else None."""
         pixels = plan.target.pixels
         return cls() if pixels is not None and pixels.aperture is None else None
 

@@ -25,17 +25,20 @@ STEP = 1e-5  # of a rim's number, in its differences: 1e-3 samples of a pupil
 
 @dataclass(frozen=True)
 class Blur:
-    """Lens, light, pixel, and what the camera adds.
+    """Lens, light, pixel, and further blur of the camera.
 
-    pupil: the torus's sides are whole numbers of its PSF's samples; its wavelength is the one that the spectrum's nodes are
-    relative to. active_um: width of the pixel's active square, whatever the sampling period. spectrum: of the light, those of
-    parts included. parts, given: of the camera, to be estimated and known.
+    pupil: the torus's sides are whole numbers of its PSF's samples; the spectrum's nodes
+    are relative to its wavelength. active_um: width of the pixel's active square, whatever
+    the sampling period. spectrum: of the light, with its parts' included. parts, given:
+    parts of the camera, estimated and known.
 
-    Diffraction's halo reaches far beyond any window. Averaged over its fringes it does not depend on the wavefront, so the
-    transfer function is the closed form for a perfect lens plus the transform of PSF(wavefront) - PSF(none), which is small
-    and compact. (A PSF simply cut at 160 um biases an f/2.8 fit by 0.02 waves.) Towards its window's borders the difference
-    is faded out: rings that a border cuts would enter and leave as cone or wavelength change. The perfect lens of a pupil
-    that is no disc is the disc with the same halo.
+    Diffraction's halo reaches far beyond any window. Averaged over its fringes the halo
+    does not depend on the wavefront, so the transfer function is the closed form for a
+    perfect lens plus the transform of PSF(wavefront) - PSF(none), which is small and
+    compact. (A PSF simply cut at 160 um biases an f/2.8 fit by 0.02 waves.) The difference
+    fades out towards its window's borders: otherwise rings would enter and leave as
+    f-number or wavelength change. The perfect lens of a pupil that is no disc is the disc
+    with the same halo.
     """
 
     torus: Torus
@@ -107,25 +110,28 @@ class Blur:
         )
 
     def _through_camera(self, transfer: AnyArray) -> AnyArray:
-        """A half plane, which is changed, times that of the camera's parts."""
+        """Multiply a half plane in place by the transfer function of the camera's parts, and return it."""
         return transfer if self._camera is None else _times(transfer, self._camera)
 
     @property
     def beyond(self) -> Floats:
-        """Half plane of the transfer function of all that lies behind the lens."""
+        """Half plane of the transfer function of everything behind the lens."""
         return self._through_camera(_times(np.ones(self._perfect.shape), *self._pixel))
 
     @property
     def simple(self) -> "Blur":
-        """In light of the nominal wavelength alone: quicker, and near enough for the slopes that a climb goes by."""
+        """The blur at the nominal wavelength alone: quicker, and near enough for the slopes of a climb."""
         return self if len(self.spectrum.nodes) == 1 else replace(self, spectrum=Spectrum())
 
     def psf(self, waves: Floats) -> Floats:
-        """(size, size) the lens's PSF as `Pupil.psf` gives it, in all light. waves: (modes,) waves RMS at the reference."""
+        """Return the lens's (size, size) PSF as `Pupil.psf`, over all wavelengths.
+
+        waves: (modes,) waves RMS at the reference wavelength
+        """
         return self._psf(self.pupil, waves)
 
     def _psf(self, pupil: Pupil, waves: Floats) -> Floats:
-        """The same of any pupil."""
+        """Return the PSF of any pupil over all wavelengths."""
         psf = np.zeros((pupil.size, pupil.size))
         for share, node in self.spectrum.shares:
             psf += share * (
@@ -134,7 +140,7 @@ class Blur:
         return psf
 
     def psf_slopes(self, waves: Floats, only: slice = slice(None)) -> Iterator[Floats32]:
-        """Its derivatives by each mode, or only some, as `Pupil.psf_slopes` gives them."""
+        """Yield the PSF's derivatives by all or some modes, as `Pupil.psf_slopes`."""
         if len(self.spectrum.nodes) == 1:
             yield from self._in_light(self.spectrum.nodes[0]).psf_slopes(waves, only)
             return
@@ -149,7 +155,7 @@ class Blur:
             )
 
     def _in_light(self, node: float) -> Pupil:
-        """The pupil in one of the spectrum's wavelengths."""
+        """Return the pupil at one of the spectrum's wavelengths."""
         return (
             self.pupil
             if node == 1
@@ -159,29 +165,39 @@ class Blur:
     def transfer(
         self, waves: Floats, precision: type[np.floating] = np.float64
     ) -> AnyComplexes:
-        """Half plane of the transfer function, 1 at zero frequency. waves: (modes,) waves RMS at the reference."""
+        """Return the half plane of the transfer function, 1 at zero frequency.
+
+        waves: (modes,) waves RMS at the reference wavelength
+        """
         return self._through_camera(self._bare(waves, precision))
 
     def _bare(self, waves: Floats, precision: type[np.floating]) -> AnyComplexes:
-        """The same without the camera's parts."""
+        """Return the half plane of the transfer function without the camera's parts."""
         return self._of(
             (self.psf(waves) - self._perfect_psf).astype(precision), self._perfect
         )
 
     def _of(self, departure: Floats | Floats32, perfect: Floats) -> AnyComplexes:
-        """Half plane of a departure (size, size) of the PSF, through the pixel, and of a perfect lens, which is so already."""
+        """Return the half plane of a departure (size, size) of the PSF through the pixel, plus a perfect
+        lens's.
+
+        perfect: half plane that includes the pixel
+        """
         transfer = _times(self._spectrum_of_window(departure), *self._centred)
         transfer += perfect
         return transfer
 
     def _spectrum_of_window(self, departure: Floats | Floats32) -> AnyComplexes:
-        """Half plane of the DFT of a departure (size, size), its borders faded out."""
+        """Return the half plane of the DFT of a departure (size, size), its borders faded out."""
         faded = departure * self._fading.astype(departure.dtype)
         faded *= self._fading.astype(departure.dtype)[:, None]
         return self.torus.half_spectrum_of_window(faded, self._finer)
 
     def by_cone(self, waves: Floats) -> Complexes64:
-        """Half plane of the transfer function's derivative by ln N of the cone, modes in waves held, in single precision."""
+        """Return the half plane of the transfer function's derivative by ln N, in single precision.
+
+        N is the working f-number; the modes stay constant in waves.
+        """
         departure, perfect = (
             np.zeros((self.pupil.size, self.pupil.size)),
             np.zeros(self._perfect.shape),
@@ -197,7 +213,10 @@ class Blur:
         )
 
     def by_light(self, waves: Floats, slopes: Mapping[float, float]) -> Complexes64:
-        """Half plane of its derivative by a number of the light. slopes: of each node's weight, by node; their sum is 0."""
+        """Return the half plane of the transfer function's derivative by a number of the light.
+
+        slopes: of each node's weight, by node; their sum is 0
+        """
         departure, perfect = (
             np.zeros((self.pupil.size, self.pupil.size)),
             np.zeros(self._perfect.shape),
@@ -214,7 +233,9 @@ class Blur:
         )
 
     def _by_rims(self, waves: Floats, first: int) -> Iterator[Complexes64]:
-        """Half planes of its derivatives by the numbers of the rim, of the parts from one on; the halo is held."""
+        """Yield half planes of the derivatives by the rim's numbers, of the parts from `first` on; the halo
+        stays.
+        """
         nearby = [
             rims
             for k, part in enumerate(self.parts[first:], first)
@@ -237,7 +258,9 @@ class Blur:
             yield self._through_camera(_times(spectrum, *self._centred))
 
     def _rims(self, k: int) -> Iterator[tuple[Rim, Rim, float]]:
-        """Rims above and below this one along each number of a part, within the part's bounds, and their distance."""
+        """Yield rims above and below the present rim along each number of a part, within its bounds, and their
+        distance.
+        """
         part, values = self.parts[k], np.array(self.parts[k].values)
         rest = (*self.given, *self.parts[:k]), self.parts[k + 1 :]
         for step in STEP * np.eye(len(values)):
@@ -250,7 +273,9 @@ class Blur:
             )
 
     def by_parts(self, waves: Floats, first: int = 0) -> Iterator[Complexes64]:
-        """Half planes of its derivatives by the numbers of each part, from one on, in single precision."""
+        """Yield half planes of the derivatives by the numbers of each part from `first` on, in single
+        precision.
+        """
         if not self.parts[first:]:
             return
         places = [frequency.astype(np.float32) for frequency in self._per_pixel]
@@ -275,21 +300,27 @@ class Blur:
                 yield np.asarray(others * slope.astype(np.float32, copy=False))
 
     def responses(self, psfs: Iterable[Floats32]) -> Iterator[AnyComplexes]:
-        """Half planes that turn what `behind_pixel` gives into the spectra of what changes of the PSF change in the picture.
+        """Yield half planes that turn the result of `behind_pixel` into the spectra of an image's changes.
 
-        psfs: (size, size) each, on the pupil's window, such as derivatives. One at a time, to spare memory.
+        psfs: (size, size) changes of the PSF on the pupil's window, such as derivatives;
+        one at a time, to save memory
         """
         for psf in psfs:
             yield self._spectrum_of_window(psf)
 
     def behind_pixel(self, spectrum: AnyComplexes) -> Complexes64:
-        """Half plane of a drawing as pixels see it, in single precision: for `responses`, which are centred in their window."""
+        """Return the half plane of a drawing through the pixel, in single precision, for `responses`.
+
+        The result is centred in the window of `responses`.
+        """
         return self._through_camera(_times(spectrum.astype(np.complex64), *self._centred))
 
     def spread(self, transfer: AnyComplexes) -> tuple[AnyComplexes, AnyComplexes]:
-        """Transforms of t h(t), row and column component (pixels), of a transfer function's own kernel h.
+        """Return the transforms of t h(t), row and column component (pixels), of a transfer function's kernel
+        h.
 
-        By central differences: exact to (2 pi t / L)^2 / 6 for light a distance t from its image on a torus of side L.
+        Central differences are exact to (2 pi t / L)^2 / 6 for light a distance t from its
+        image on a torus of side L.
         """
         by_row, by_column = np.empty_like(transfer), np.empty_like(transfer)
         np.subtract(transfer[2:], transfer[:-2], out=by_row[1:-1])
@@ -306,7 +337,10 @@ class Blur:
 
 
 def _times(transfer: AnyArray, *factors: AnyFloats | AnyComplexes) -> AnyArray:
-    """A half plane, which is changed, times others, or times such of one line: a half plane of a large target is 70 MB."""
+    """Multiply a half plane in place by others, or by such of one line, and return it.
+
+    A half plane of a large target takes 70 MB.
+    """
     for factor in factors:
         precision = transfer.dtype if np.iscomplexobj(factor) else transfer.real.dtype
         np.multiply(transfer, factor.astype(precision, copy=False), out=transfer)

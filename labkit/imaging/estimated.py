@@ -1,4 +1,4 @@
-"""Groups of numbers that fits estimate next to wavefront and pose, with their names and their data-sheet quantities."""
+"""Groups of numbers that fits estimate with wavefront and pose: their names and data-sheet quantities."""
 
 from __future__ import annotations
 
@@ -12,14 +12,16 @@ from labkit.uncertain import Uncertain
 
 
 class Estimated(ABC):
-    """A group of numbers, such as a part of the camera. The likelihood is regular where all of them are 0.
+    """A group of numbers, such as a part of the camera. The likelihood is regular at zero.
 
     Attributes
     ----------
-    labels : a name for each number; numbers may go below 0 on the way to an estimate
-    usual : standard deviation of each number among cameras, far beyond the error of one frame
+    labels : a name for each number; numbers may be negative in the course of an estimate
+    usual : standard deviation of each number among cameras, far beyond the error of one
+        frame
     meanings : a few words on each quantity, for a table, by the end of its key
-    per_channel : whether each channel has numbers of its own; otherwise all channels share them
+    per_channel : whether each channel has numbers of its own; otherwise all channels share
+        them
     one_sided : whether numbers below 0 are unphysical
     """
 
@@ -48,7 +50,7 @@ class Estimated(ABC):
 
     @abstractmethod
     def at(self, values: Sequence[float]) -> Self:
-        """Return the same group with other numbers, kept within what is possible."""
+        """Return the same group with other numbers, limited to possible values."""
 
     @abstractmethod
     def quantities(
@@ -59,11 +61,12 @@ class Estimated(ABC):
         Parameters
         ----------
         numbers : one for each label
-        channel : whose numbers they are, of a group that is `per_channel`
+        channel : of the numbers, for a group that is `per_channel`
 
         Returns
         -------
-        By their keys in ``model_parts`` of results.json: name, channel if any, and quantity, which ends with its unit.
+        By their keys in ``model_parts`` of results.json: name, channel if any, and
+        quantity, which ends with its unit.
         """
 
     @abstractmethod
@@ -81,7 +84,7 @@ class Estimated(ABC):
 
 
 def root(square: Uncertain, unit: str = "") -> Uncertain:
-    """Return the square root of a number that may be estimated below 0, where its root is 0."""
+    """Return the square root of an estimated number; 0 for a negative number."""
     value = math.sqrt(max(square.value, 0.0))
     std = square.std / (2 * value) if value**2 > square.std else math.sqrt(square.std)
     return Uncertain(value, std, unit)

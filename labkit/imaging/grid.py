@@ -1,4 +1,4 @@
-"""The torus that an image is modelled on, and how its spectrum folds when pixels sample it (thesis 2.61-2.69)."""
+"""The torus on which an image is modelled, and the folding of its spectrum by sampling (thesis 2.61-2.69)."""
 
 import math
 from collections.abc import Iterator
@@ -14,14 +14,15 @@ from labkit.types import AnyComplexes, AnyFloats, Complexes, Complexes64, Floats
 class Torus:
     """A periodic fine grid around a frame of pixels, with a whole number of fine samples to a pixel.
 
-    pixels: (rows, columns) of the torus, in pixels; the frame stands at `margin` in it, the rest is guard band.
-    oversampling: fine samples to a pixel along each axis. pitch_um: of the pixels.
-    band_limit_per_um: no image holds more than this; below the fine grid's Nyquist frequency.
-    row_frequency: (half rows, 1) cycles/um, from 0 up to the band limit; column_frequency: (1, fine columns), in FFT order.
+    pixels: (rows, columns) of the torus, in pixels; the frame begins at `margin`, the rest
+    is guard band. oversampling: fine samples to a pixel along each axis. pitch_um: of the
+    pixels. band_limit_per_um: limit of all images' spectra, below the fine grid's Nyquist
+    frequency. row_frequency: (half rows, 1) cycles/um, from 0 up to the band limit;
+    column_frequency: (1, fine columns), in FFT order.
 
-    Spectra are kept as half planes: row frequencies from 0 up to the band limit, all column frequencies in FFT order; real
-    images have no more. A whole ratio makes sampling the plain folding of the spectrum, so that neither a Nyquist bin nor a
-    non-integer ratio ever arises.
+    Spectra are half planes: row frequencies from 0 up to the band limit, all column
+    frequencies in FFT order; real images have no more. With a whole ratio sampling simply
+    folds the spectrum, so neither a Nyquist bin nor a non-integer ratio ever arises.
     """
 
     pixels: tuple[int, int]
@@ -63,7 +64,9 @@ class Torus:
         pitch_um: float,
         band_limit_per_um: float,
     ) -> "Torus":
-        """A torus with at least guard_px pixels of guard band below and beside the frame, its sides good for the FFT."""
+        """Return a torus with at least guard_px pixels of guard band below and beside the frame, of sides good
+        for the FFT.
+        """
         oversampling = math.ceil(2 * pitch_um * band_limit_per_um * (1 + 1e-9))
         rows, columns = (
             scipy.fft.next_fast_len(side + guard, real=True)
@@ -81,21 +84,22 @@ class Torus:
 
     @property
     def spacing_um(self) -> float:
-        """Of the fine grid."""
+        """Spacing of the fine grid."""
         return self.pitch_um / self.oversampling
 
     def half_spectrum(self, image: AnyFloats) -> AnyComplexes:
-        """Half plane of the DFT of a fine image, in its precision."""
+        """Return the half plane of the DFT of a fine image, in its precision."""
         by_row = scipy.fft.rfft(image, axis=0)[: self.row_frequency.size]
         return np.asarray(scipy.fft.fft(by_row, axis=1, overwrite_x=True))
 
     def half_spectrum_of_window(
         self, window: AnyFloats, finer: float = 1.0
     ) -> AnyComplexes:
-        """Half plane of the DFT of a small image, zero outside, whose [0, 0] lies at the torus's; in the image's precision.
+        """Return the half plane of the DFT of a small image with zeros around, whose [0, 0] is the torus's.
 
-        window: (m, m), sampled `finer` times as finely as the torus, whose sides are whole numbers of its samples; what it
-        holds beyond the torus's band is left out. Raises ValueError where the window is larger than the torus.
+        window: (m, m), sampled `finer` times as finely as the torus, whose sides are whole
+        numbers of its samples; content beyond the torus's band is dropped. The result has
+        the image's precision. Raises ValueError for a window larger than the torus.
         """
         rows, columns = (round(side * finer) for side in self.fine)
         if max(window.shape) > min(rows, columns):
@@ -106,13 +110,13 @@ class Torus:
         return self._columns(np.asarray(scipy.fft.fft(by_row, n=columns, axis=1)))
 
     def cut(self, spectrum: Complexes64, oversampling: int) -> Complexes64:
-        """What a half plane of the same torus at another, finer oversampling holds of this one's band."""
+        """Return the part in this torus's band of a half plane at another, finer oversampling."""
         return self._columns(spectrum[: self.row_frequency.size]) * np.float32(
             (self.oversampling / oversampling) ** 2
         )
 
     def _columns(self, spectrum: AnyComplexes) -> AnyComplexes:
-        """Those of this torus's column frequencies, of a half plane with more of them."""
+        """Return the columns at this torus's column frequencies of a half plane with more."""
         if spectrum.shape[1] == self.fine[1]:
             return spectrum
         positive = (self.fine[1] + 1) // 2
@@ -121,17 +125,19 @@ class Torus:
         )
 
     def shift(self, distance_um: float) -> tuple[Complexes, Complexes]:
-        """Factors along rows (m, 1) and columns (1, n) of the half plane that moves an image up and left by a distance."""
+        """Return factors along rows (m, 1) and columns (1, n) of the half plane that move an image up and left."""
         turn = 2j * np.pi * distance_um
         return np.exp(turn * self.row_frequency), np.exp(turn * self.column_frequency)
 
     def sample(
         self, spectrum: AnyComplexes, transfer: AnyComplexes | Floats | None = None
     ) -> Floats:
-        """The frame's pixels, (rows, columns), of an image given by its half spectrum, times a transfer function if any.
+        """Return the frame's pixels, (rows, columns), of an image's half spectrum, times a transfer function if
+        any.
 
-        Sampling a periodic band-limited image folds its DFT, thesis (2.61). The product is made by as many rows at a time as
-        fold onto the torus once: whole it is as large as the spectrum.
+        Sampling a periodic band-limited image folds its DFT, thesis (2.61). The product is
+        computed for as many rows at a time as fold onto the torus once: as a whole it is as
+        large as the spectrum.
         """
         folded = np.zeros(
             self.pixels,
@@ -149,7 +155,7 @@ class Torus:
     def sample_slopes(
         self, spectrum: AnyComplexes, transfer: AnyComplexes
     ) -> tuple[Floats, Floats]:
-        """Derivatives along rows and along columns, per pixel, of what `sample` gives."""
+        """Return the derivatives of `sample` along rows and along columns, per pixel."""
         down, right = (
             (2j * np.pi * self.pitch_um * f).astype(spectrum.dtype)
             for f in (self.row_frequency, self.column_frequency)
@@ -167,22 +173,25 @@ class Torus:
         return self.unfolded(by_row), self.unfolded(self.folded_columns(folded * right))
 
     def _onto_one_another(self, spectrum: AnyComplexes) -> Iterator[slice]:
-        """Rows of a half plane, as many at a time as sampling folds onto the same ones."""
+        """Yield slices of a half plane's rows that sampling folds onto the same rows."""
         return (
             slice(first, first + self.pixels[0])
             for first in range(0, len(spectrum), self.pixels[0])
         )
 
     def folded_columns(self, spectrum: AnyComplexes) -> AnyComplexes:
-        """Half planes' columns folded by sampling: (any, fine columns) -> (any, columns). It commutes with `folded_rows`."""
+        """Return half planes with columns folded by sampling: (any, fine columns) -> (any, columns).
+
+        The operation commutes with `folded_rows`.
+        """
         return np.asarray(
             spectrum.reshape(len(spectrum), self.oversampling, self.pixels[1]).sum(axis=1)
         )
 
     def folded_rows(self, spectrum: AnyComplexes) -> AnyComplexes:
-        """Half planes' rows folded by sampling: (half rows, any) -> (rows, any).
+        """Return half planes with rows folded by sampling: (half rows, any) -> (rows, any).
 
-        Half a plane is enough: the other half adds the complex conjugate, which `unfolded` sees to.
+        Half a plane suffices: the other half adds the complex conjugate, in `unfolded`.
         """
         folded = np.zeros((self.pixels[0], spectrum.shape[1]), spectrum.dtype)
         for first in range(0, len(spectrum), self.pixels[0]):
@@ -192,7 +201,7 @@ class Torus:
         return folded
 
     def unfolded(self, folded: AnyComplexes) -> Floats:
-        """The frame's pixels of a half plane that was folded both ways: twice the real part of its transform."""
+        """Return the frame's pixels of a half plane folded both ways: twice the real part of its transform."""
         image = scipy.fft.ifft2(folded).real
         seen = image[
             tuple(slice(m, m + f) for m, f in zip(self.margin, self.frame, strict=True))

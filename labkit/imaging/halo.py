@@ -1,4 +1,4 @@
-"""The halo on a torus: the guard band that a PSF's window needs, and what light from beyond it adds to a picture."""
+"""The halo on a torus: the guard band that a PSF's window needs, and the light that comes around."""
 
 import math
 from collections.abc import Callable
@@ -21,12 +21,15 @@ ROUGH_BAND = 0.45  # cycles a pixel: there the Gaussian has fallen to 1e-6
 
 
 def perfect_lens(torus: Torus, airy_um: float) -> Floats:
-    """Half plane of the transfer function of a perfect lens. airy_um: lambda N."""
+    """Return the half plane of the transfer function of a perfect lens.
+
+    airy_um: lambda N
+    """
     return _symmetric(torus, lambda frequency: diffraction_mtf(frequency * airy_um))
 
 
 def perfect_lens_slope(torus: Torus, airy_um: float) -> Floats:
-    """Half plane of its derivative by ln of lambda N."""
+    """Return the half plane of the derivative of `perfect_lens` by ln of lambda N."""
 
     def slope(frequency: Floats) -> Floats:
         nu = np.minimum(frequency * airy_um, 1.0)
@@ -36,15 +39,19 @@ def perfect_lens_slope(torus: Torus, airy_um: float) -> Floats:
 
 
 def _symmetric(torus: Torus, function: Callable[[Floats], Floats]) -> Floats:
-    """Half plane of a function of the distance from frequency 0, which columns of opposite frequency share."""
+    """Return the half plane of a function of the distance from frequency 0.
+
+    Columns of opposite frequency share values.
+    """
     columns, places = np.unique(np.abs(torus.column_frequency), return_inverse=True)
     return np.take(function(np.hypot(torus.row_frequency, columns)), places.ravel(), axis=1)
 
 
 def guards(frame: tuple[int, int], reference: Pose, reach_px: float) -> tuple[int, int]:
-    """Guard band along rows and columns, pixels, that keeps light within a reach from coming around the torus to the frame.
+    """Return the guard band along rows and columns, pixels, that keeps light within a reach from coming around.
 
-    frame: (rows, columns). reference: about where the target stands; what stands around it is dark and may come around.
+    frame: (rows, columns). reference: approximate pose of the target; the dark area around
+    the target may come around.
     """
     corners = reference.corners_px()
     stray = STRAY * np.ptp(corners, axis=0)
@@ -57,9 +64,10 @@ def guards(frame: tuple[int, int], reference: Pose, reach_px: float) -> tuple[in
 def wrapped_light(
     torus: Torus, target: Target, reference: Pose, airy_um: float, active_um: float
 ) -> Floats:
-    """(rows, columns) of the frame: what comes around a torus of a perfect lens's light, in units of the target's radiance.
+    """Return the light of a perfect lens that comes around a torus to the frame (rows, columns).
 
-    It is smooth and hardly depends on pose and wavefront, so two rough pictures differ by it: one on the torus, one on a
+    The unit is the target's radiance. This light is smooth and hardly depends on pose and
+    wavefront: it is the difference between two rough images, one on the torus, one on a
     torus twice as large.
     """
     rough = replace(torus, oversampling=1, band_limit_per_um=ROUGH_BAND / torus.pitch_um)

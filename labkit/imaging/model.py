@@ -60,9 +60,9 @@ class Evaluation:
 class ForwardModel:
     """Target, lens and pixel: the blurred, sampled radiance H(v, alpha) f of thesis (2.70).
 
-    optics: as it was built for. rough: the same blur up to ROUGH_BAND, for the slopes that a climb goes by: docs/decisions.md.
-    wrapped: (rows, columns) of the frame, light that comes around the torus and is taken off. window_airy: width of the PSF's
-    window, lambda N.
+    optics: as built. rough: the same blur up to ROUGH_BAND, for the slopes of a climb:
+    docs/decisions.md. wrapped: (rows, columns) of the frame, light that comes around the
+    torus, which is subtracted. window_airy: width of the PSF's window, lambda N.
     """
 
     optics: Optics
@@ -101,13 +101,14 @@ class ForwardModel:
 
         Parameters
         ----------
-        optics, target : lens, light and sensor, and the target that they show
+        optics, target : lens, light and sensor, and the photographed target
         frame : (rows, columns) of the frames
         reference : the target's pose in such frames, its scale right to 5 %; see `Scene`
-        band : share of the optics' pass band that is modelled; below 1 the model is a rough and quick sketch
-        window_airy : width of the PSF's window in lambda N; a smaller one is quicker and errs by the halo's dependence on
-            the wavefront
-        cone_margin : relative, by which `with_optics` may make the cone wider
+        band : modelled share of the optics' pass band; below 1 the model is a rough and
+            quick sketch
+        window_airy : width of the PSF's window in lambda N; a smaller window is quicker and
+            errs by the halo's dependence on the wavefront
+        cone_margin : relative, by which `with_optics` may lower the f-number
         shine : brightness of the target from place to place
         """
         window_um = window_airy * optics.airy_um
@@ -202,11 +203,14 @@ class ForwardModel:
         )
 
     def draw(self, poses: Sequence[Pose]) -> Drawing:
-        """The target from the frames' poses: what `means` and `evaluate` blur."""
+        """Draw the target at the frames' poses, for `means` and `evaluate`."""
         return self.scene.draw(poses)
 
     def means(self, waves: Floats, drawing: Drawing, used: Sequence[Bools]) -> list[Floats]:
-        """The mean at the used pixels of each frame. used: masks (rows, columns) of the frame."""
+        """Return the mean at the used pixels of each frame.
+
+        used: masks (rows, columns) of the frame
+        """
         self._checked(drawing, used)
         transfer = self.blur.transfer(waves)
         return [
@@ -278,7 +282,10 @@ class ForwardModel:
         kernels: Sequence[AnyComplexes],
         used: Sequence[Bools],
     ) -> list[Floats]:
-        """(0 or 2, pixels) of each frame, to first order. kernels: as of `_by_pose`."""
+        """Return (0 or 2, pixels) derivatives of each frame by the light, to first order.
+
+        kernels: as of `_by_pose`
+        """
         if self.scene.shine is None:
             return [np.empty((0, int(u.sum()))) for u in used]
         doubts, made = self.scene.shine.doubts(*self._pixels), []
@@ -290,7 +297,9 @@ class ForwardModel:
     def by_parts(
         self, waves: Floats, drawing: Drawing, used: Sequence[Bools], *, first: int
     ) -> list[Floats]:
-        """(numbers, pixels) of each frame: derivatives by the numbers of the optics' parts from one on."""
+        """Return (numbers, pixels) derivatives of each frame by the numbers of the optics' parts from `first`
+        on.
+        """
         return self._turned(
             self.blur, self.blur.by_parts(waves, first), drawing.spectra, used
         )
@@ -298,7 +307,7 @@ class ForwardModel:
     def by_modes(
         self, waves: Floats, drawing: Drawing, used: Sequence[Bools], *, first: int
     ) -> list[list[Floats32]]:
-        """(pixels,) for each mode of each frame: derivatives by the modes from one on."""
+        """Return (pixels,) derivatives of each frame by each mode from `first` on."""
         psfs = self.blur.psf_slopes(waves, slice(first, None))
         return self._responses(self.blur, psfs, drawing.spectra, used)
 
@@ -309,7 +318,7 @@ class ForwardModel:
         spectra: Sequence[Complexes64],
         used: Sequence[Bools],
     ) -> list[Floats]:
-        """(turns, pixels) of each frame: what derivatives of the transfer function make of it."""
+        """Return (turns, pixels) changes of each frame by derivatives of the transfer function."""
         rows = [list[Floats]() for _ in used]
         for turn in turns:
             for of_frame, spectrum, u in zip(rows, spectra, used, strict=True):
@@ -322,7 +331,7 @@ class ForwardModel:
     def _by_panel(
         self, blur: Blur, transfer: AnyComplexes, drawing: Drawing, used: Sequence[Bools]
     ) -> list[Floats]:
-        """(0 or 2, pixels) of each frame, by a panel's aperture, which the target is drawn by."""
+        """Return (0 or 2, pixels) derivatives of each frame by a panel's aperture."""
         count = 0 if self.optics.panel is None else len(self.optics.panel.labels)
         rows = [np.zeros((count, int(u.sum()))) for u in used]
         if count:
@@ -338,18 +347,18 @@ class ForwardModel:
         return rows
 
     def departures(self, psfs: Floats32, drawing: Drawing, used: Bools) -> list[Floats32]:
-        """(pixels,) each, by which departures (n, size, size) of the PSF from the perfect one change the mean of one frame."""
+        """Return (pixels,) changes of one frame's mean by each departure (n, size, size) from the perfect PSF."""
         return self._responses(self.blur, psfs, drawing.spectra, [used])[0]
 
     def slopes(self, waves: Floats, drawing: Drawing, used: Bools, only: slice) -> Floats:
-        """(modes, pixels) derivatives of one frame by some of the modes, for those who cannot hold all at once."""
+        """Return (modes, pixels) derivatives of one frame by some of the modes, to save memory."""
         (rows,) = self._responses(
             self.blur, self.blur.psf_slopes(waves, only), drawing.spectra, [used]
         )
         return np.array(rows, float).reshape(-1, int(used.sum()))
 
     def _cut(self, blur: Blur, spectrum: Complexes64) -> Complexes64:
-        """Of a drawing's half plane the band of one of the blurs."""
+        """Return the part of a drawing's half plane in the band of a blur."""
         return (
             spectrum
             if blur.torus == self.blur.torus
@@ -363,7 +372,7 @@ class ForwardModel:
         spectra: Sequence[AnyComplexes],
         used: Sequence[Bools],
     ) -> list[list[Floats32]]:
-        """(pixels,) of each frame: what each of some changes of the PSF changes in its mean."""
+        """Return (pixels,) changes of each frame's mean by each of some changes of the PSF."""
         behind, changes = (
             [blur.behind_pixel(spectrum) for spectrum in spectra],
             list[list[Floats32]]([] for _ in used),
@@ -390,16 +399,18 @@ class ForwardModel:
         return picture - self.wrapped[used] + self.scene.surround
 
     def _seen(self, picture: Floats, used: Bools) -> Floats:
-        """(pixels,) the used pixels of a picture (rows, columns), relative to how brightly the target shines there."""
+        """Return (pixels,) the used pixels of an image (rows, columns), relative to the target's brightness
+        there.
+        """
         return self._lit(picture[used], used)
 
     def _lit(self, pixels: Floats, used: Bools) -> Floats:
-        """(..., pixels) relative to that."""
+        """Return (..., pixels) relative to the target's brightness at the used pixels."""
         return pixels if self.scene.shine is None else pixels / self.light[used]
 
 
 def _lit(target: Target, optics: Optics) -> Target:
-    """The target as it shines with the optics' aperture, if that is estimated; itself where it does so already."""
+    """Return the target with the optics' estimated aperture; itself if the aperture is not estimated."""
     if (
         optics.panel is None
         or not isinstance(target, PanelTarget)
@@ -416,12 +427,12 @@ def _by_pose(
     pose: Pose,
     used: Bools,
 ) -> Floats:
-    """Derivatives by the pose: -h * (grad f . w), w(x) the motion of the target's point at x.
+    """Return the derivatives by the pose: -h * (grad f . w), w(x) the motion of the target's point at x.
 
-    kernels: transforms of h and of t h, t the place in the PSF along rows and along columns, in pixels.
-    w is linear over the width of the PSF, so this is
-    -w . (h * grad f) + sum_ab dw_a/dx_b ((t_b h) * df/dx_a): exact for affine motions, and for perspective up to the
-    square of blur over distance.
+    kernels: transforms of h and of t h, t the place in the PSF along rows and along
+    columns, in pixels. w is linear over the width of the PSF, so the result is -w . (h *
+    grad f) + sum_ab dw_a/dx_b ((t_b h) * df/dx_a): exact for affine motions, and for
+    perspective up to the square of blur over distance.
     """
     rows, columns = (index.astype(np.float64) for index in np.nonzero(used))
     result = np.zeros((POSE_SIZE, rows.size))

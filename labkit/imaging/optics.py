@@ -1,4 +1,4 @@
-"""Lens, light, sensor and panel as a forward model takes them, and the numbers of them that fits estimate."""
+"""Lens, light, sensor and panel as a forward model uses them, and their numbers that fits estimate."""
 
 from __future__ import annotations
 
@@ -33,15 +33,16 @@ class Optics:
     Parameters
     ----------
     wavelength_um : of the light
-    reference_um : of the waves that wavefronts are counted in
-    f_number : of the beam that reaches the sensor, by its clear area
+    reference_um : wavelength of the unit of wavefronts
+    f_number : working f-number, by clear area
     pitch_um : of the pixels, whatever their colours
     active_um : width of a pixel's active square
     noll : modes of the wavefront
-    spectrum : of the light, relative to its wavelength; None where it is not known
+    spectrum : of the light, relative to its wavelength; None if unknown
     parts : parts of the camera, to be estimated
     given : parts of the camera with known numbers
-    panel : the lit part of a panel's pixels, to be estimated; None for other targets, and where it is known
+    panel : the lit part of a panel's pixels, to be estimated; None for other targets, and
+        if known
 
     Raises
     ------
@@ -79,7 +80,7 @@ class Optics:
 
     @property
     def light(self) -> Spectrum:
-        """Spectrum of the light: that of a part, if one has it, else `spectrum`, else one wavelength."""
+        """Spectrum of the light: a part's, if a part has one, else `spectrum`, else a single wavelength."""
         of_parts = (part.light for part in (*self.parts, *self.given))
         return next(
             (light for light in (*of_parts, self.spectrum) if light is not None), Spectrum()
@@ -87,7 +88,7 @@ class Optics:
 
     @property
     def shortest(self) -> float:
-        """Shortest wavelength of the light, relative, as broad as an estimate may make it."""
+        """Shortest wavelength of the light, relative, as broad as an estimate may make the spectrum."""
         broadest = (part.broadest for part in self.parts)
         return min(
             min(light.nodes) for light in (self.light, *broadest) if light is not None
@@ -106,7 +107,7 @@ class Optics:
 
     @property
     def camera_parameters(self) -> Floats:
-        """(n,) numbers that may be estimated next to the wavefront: of the parts, of the panel, ln N."""
+        """(n,) numbers that may be estimated with the wavefront: of the parts, of the panel, ln N."""
         return np.array(
             [*chain(*(group.values for group in self.estimated)), math.log(self.f_number)]
         )
@@ -132,7 +133,7 @@ class Optics:
 
     @property
     def lacking(self) -> list[str]:
-        """Names of known parts that these optics do not have and may have, the commonest first."""
+        """Names of known parts that these optics may have but lack, the commonest first."""
         every = (*self.parts, *self.given)
         have = {part.name for part in every}
         kinds = {part.kind for part in every if part.kind}
@@ -155,7 +156,10 @@ class Optics:
         )
 
     def begun(self, before: Sequence[Part] = ()) -> Optics:
-        """Return the same optics, parts that do nothing yet as fits begin with them. before: parts of the fit before."""
+        """Return the optics with idle parts at their start values.
+
+        before: parts of the previous fit
+        """
         parts = (part.begun(before) if part.idle else part for part in self.parts)
         return replace(self, parts=tuple(parts))
 
@@ -187,10 +191,10 @@ class Optics:
         return tuple(part for part in self.parts if not part.per_channel)
 
     def sharing(self, other: Optics) -> Optics:
-        """Return these optics with the estimated parts, and the panel, of another channel's, or of another fit's.
+        """Return these optics with the estimated parts, and the panel, of another channel's or another fit's.
 
-        Parts that each channel has of its own stay as they are; where these optics lack one, they take it from optics of
-        their own channel only.
+        Parts of a single channel stay unchanged; missing ones are copied only from optics
+        of the same channel.
         """
         own = {part.name: part for part in self.parts if part.per_channel}
         alike = self.wavelength_um == other.wavelength_um
@@ -202,7 +206,10 @@ class Optics:
         return replace(self, parts=(*taken, *own.values()), panel=other.panel)
 
     def window_airy(self, waves: Floats) -> float:
-        """Return the width of the window, lambda N, that a wavefront's PSF needs. waves: (modes,) RMS at the reference."""
+        """Return the width of the window, lambda N, that a wavefront's PSF needs.
+
+        waves: (modes,) RMS at the reference wavelength
+        """
         return window_for(
             self.noll, waves * (self.reference_um / self.wavelength_um), self.rim.longest
         )

@@ -27,9 +27,10 @@ MARGIN_NYQUIST = 21  # Nyquist intervals of raster around the target: its filter
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drawing:
-    """The target as frames show it from their poses, before any blur.
+    """The target at the frames' poses, before any blur.
 
-    spectra: half planes, one for each pose; in single precision, which moves a mean by 2e-8 of white.
+    spectra: half planes, one for each pose, in single precision, which changes a mean by
+    2e-8 of white
     """
 
     poses: tuple[Pose, ...]
@@ -40,12 +41,14 @@ class Drawing:
 class Scene:
     """Draws a target on a torus.
 
-    cutoff_per_um: incoherent cutoff of the optics, the frequency up to which the drawing must be right. reference: a pose
-    near those that are to be drawn. shine: of the target's places, as the frame shows them; none where it is even.
-    The target is rendered once, band-limited, as a raster in its own plane, and warped from there by splines. The raster is
-    the reference's, whatever is drawn, so a drawing depends on its pose alone, and smoothly. At the conditions of thesis §3.8
-    references that differ by 2 % in scale move a log-likelihood by 0.08 and a wavefront by 0.1 % of its standard errors; at a
-    pose 5 % larger than the reference it is 0.7 %, 10 % larger 4 %.
+    cutoff_per_um: incoherent cutoff of the optics, up to which the drawing must be right.
+    reference: a pose near the drawn ones. shine: relative brightness of the target's places
+    in the frame; None if even. The target is rendered once, band-limited, as a raster in
+    its own plane, and warped from there by splines. The raster depends on the reference
+    only, so a drawing is a smooth function of its pose. At the conditions of thesis §3.8
+    references that differ by 2 % in scale change a log-likelihood by 0.08 and a wavefront
+    by 0.1 % of its standard errors; at a pose 5 % larger than the reference the change is
+    0.7 %, 10 % larger 4 %.
     """
 
     torus: Torus
@@ -76,7 +79,7 @@ class Scene:
 
     @cached_property
     def _slopes(self) -> "tuple[_Raster, ...]":
-        """By the aperture of a panel's stripes."""
+        """Rasters of the derivatives by the aperture of a panel's stripes."""
         return (
             self._rasters(self.target.slopes)
             if isinstance(self.target, PanelTarget)
@@ -85,15 +88,18 @@ class Scene:
 
     @property
     def surround(self) -> float:
-        """Radiance around the target; an unknown one counts as 0, its pixels are to be masked."""
+        """Radiance around the target; 0 if unknown, its pixels to be masked."""
         return self.target.surround or 0.0
 
     def image(self, pose: Pose) -> Floats32:
-        """Fine image (torus.fine) of the radiance above the surround's. pose: in the pixels of the frame."""
+        """Return the fine image (torus.fine) of the radiance above the surround's.
+
+        pose: in the pixels of the frame
+        """
         return self._seen(self._raster, pose)
 
     def _seen(self, raster: "_Raster", pose: Pose) -> Floats32:
-        """Fine image of a raster at a pose."""
+        """Return the fine image of a raster at a pose."""
         many, (top, left) = self.torus.oversampling, self.torus.margin
         onto_torus = pose.shifted(-top, -left)
         corners = onto_torus.to_pixels(*raster.outline)
@@ -120,13 +126,17 @@ class Scene:
         return image
 
     def draw(self, poses: Sequence[Pose]) -> Drawing:
-        """The half planes of the DFT of `image` at each pose."""
+        """Return the half planes of the DFT of `image` at each pose."""
         return Drawing(
             tuple(poses), tuple(self._drawn(self._raster, pose) for pose in poses)
         )
 
     def slopes(self, poses: Sequence[Pose]) -> list[tuple[Complexes64, ...]]:
-        """At each pose the half planes of the derivatives of `image` by the aperture of a panel's stripes; none of others."""
+        """Return the half planes of the derivatives of `image` by the aperture of a panel's stripes at each
+        pose.
+
+        Other targets have none.
+        """
         return [
             tuple(self._drawn(raster, pose) for raster in self._slopes) for pose in poses
         ]
@@ -139,8 +149,9 @@ class Scene:
 class _Raster:
     """Spline coefficients of the band-limited target in its own plane.
 
-    In single precision: of a large target at a small f-number they are hundreds of megabytes, a spline of which errs by 1e-7 of
-    white, a thirtieth of what the spline itself does, and they are the same at every pose.
+    A large target at a small f-number takes hundreds of megabytes in single precision.
+    Rounding errs by 1e-7 of white, a thirtieth of the spline's own error, and is the same
+    at every pose.
     """
 
     coefficients: Floats32
@@ -155,7 +166,7 @@ class _Raster:
         reference: Pose,
         cutoff_per_px: float,
     ) -> "tuple[_Raster, ...]":
-        """Of what is sampled as a target of a size is, at the reference's scale."""
+        """Return rasters of functions sampled like a target of a size, at the reference's scale."""
         half_mm = np.array(size_mm) / 2
         pixel_per_mm = float(np.max(reference.pixel_per_unit() / half_mm))
         cutoff_per_mm = cutoff_per_px * pixel_per_mm
@@ -185,7 +196,9 @@ class _Raster:
         return np.array([-y, -y, y, y]), np.array([-x, x, x, -x])
 
     def at(self, to_target: Floats, shape: tuple[int, int]) -> Floats32:
-        """Values on a grid of a shape, whose (i, j, 1) a homography (3, 3) takes to unit coordinates (y, x, 1); 0 outside."""
+        """Return values on a grid whose (i, j, 1) a homography (3, 3) maps to unit coordinates (y, x, 1); 0
+        outside.
+        """
         (y, x), (down, across) = -self.first / self.step, 1 / self.step
         return spline.read(
             self.coefficients,

@@ -1,4 +1,4 @@
-"""How brightly the places of a target shine: what flats show of the light, laid on the target before it is blurred."""
+"""The brightness of a target from place to place: light measured by flats, applied before the blur."""
 
 from dataclasses import dataclass
 
@@ -17,8 +17,9 @@ SHARE_STD = (
 class Shine:
     """Smooth light over a frame: exp of a polynomial in row and column.
 
-    shape: (rows, columns) of the frame; coefficients: (4, 4) of the powers of row and of column, both from -1 to 1 over the
-    frame; those of more than the third order together are 0. Beyond the frame the light is that of its edge.
+    shape: (rows, columns) of the frame; coefficients: (4, 4) of the powers of row and of
+    column, both from -1 to 1 over the frame; terms of total order above three are 0. Beyond
+    the frame the light is that of its edge.
     """
 
     shape: tuple[int, int]
@@ -26,7 +27,7 @@ class Shine:
 
     @classmethod
     def seen(cls, illumination: Floats, used: Bools) -> "Shine":
-        """Of light that is known where a mask (rows, columns) holds, noise of single pixels in it."""
+        """Fit the light in the pixels of a mask (rows, columns), despite the noise of single pixels."""
         down, right = (
             _powers(at, n) for at, n in zip(np.nonzero(used), used.shape, strict=True)
         )
@@ -39,15 +40,17 @@ class Shine:
         return cls(used.shape, coefficients)
 
     def at(self, rows: Floats, columns: Floats) -> Floats:
-        """(m, n) relative light at rows (m,) and columns (n,), pixels of the frame."""
+        """Return (m, n) relative light at rows (m,) and columns (n,), pixels of the frame."""
         return np.asarray(np.exp(self._ln(rows, columns)))
 
     def doubts(self, rows: Floats, columns: Floats) -> Floats:
-        """(2, 2, m, n) standard errors of the growth of ln of the light from row to row and from column to column.
+        """Return (2, 2, m, n) standard errors of the growth of ln of the light from row to row and column to
+        column.
 
-        First the share of it that is the lens's after all; then what is round about the middle and the target's, which was
-        taken for the lens's fall-off: an even curvature of the light, which no flat can tell, and which makes a blurred
-        picture larger or smaller.
+        The first part is the share that may belong to the lens after all. The second is the
+        target's part symmetric about the middle, which was attributed to the lens's
+        fall-off: an even curvature of the light, invisible to any flat, which changes the
+        size of a blurred image.
         """
         down, right = (
             self._ln(rows + r, columns + c) - self._ln(rows - r, columns - c)
@@ -62,10 +65,11 @@ class Shine:
 
     @property
     def _round_std(self) -> float:
-        """Standard error of the curvature of ln of the light, per pixel^2, that is alike along rows and columns.
+        """Standard error of the curvature of ln of the light, per pixel^2, equal along rows and columns.
 
-        As in a random field that knows no direction, it is as large as the other curvatures, which are seen: of its
-        variances that of (xx + yy) / 2 is twice that of (xx - yy) / 2 and that of xy.
+        As in an isotropic random field, this curvature is as large as the other curvatures,
+        which are measured: its variance, of (xx + yy) / 2, is twice that of (xx - yy) / 2
+        and of xy.
         """
         rows, columns = (max(n - 1, 1) / 2 for n in self.shape)
         c = self.coefficients
@@ -83,7 +87,7 @@ class Shine:
 
 
 def _powers(at: Floats | NDArray[np.intp], size: int) -> Floats:
-    """(4, n) of places (n,) along an axis of a frame, from -1 to 1."""
+    """Return (4, n) powers of places (n,) along an axis of a frame, from -1 to 1."""
     return np.asarray(
         np.clip(2 * at / max(size - 1, 1) - 1, -1, 1) ** np.arange(ORDER + 1)[:, None]
     )

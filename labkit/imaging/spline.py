@@ -1,6 +1,7 @@
-"""A quintic spline over a raster, read on a grid that a homography lays over it: what drawing a target comes to.
+"""Evaluate a quintic spline over a raster on a homography's grid: the core of drawing a target.
 
-Compiled, in single precision: scipy's `map_coordinates` gives the same to 6e-7 of white in eight times the time.
+The code is compiled, in single precision: scipy's `map_coordinates` gives the same to 6e-7
+of white in eight times the time.
 """
 
 import math
@@ -24,14 +25,18 @@ FAST = {"contract", "reassoc", "nsz"}
 
 
 def coefficients(raster: Floats) -> Floats:
-    """(rows, columns) of the spline through a raster's samples, mirrored at its borders."""
+    """Return the (rows, columns) coefficients of the spline through a raster's samples, mirrored at its
+    borders.
+    """
     spline = along_rows(raster)
     filter_columns(spline)
     return spline
 
 
 def along_rows(raster: Floats) -> Floats:
-    """(rows, columns) samples along rows become coefficients; each row stands for itself, so a raster may come in parts."""
+    """Return (rows, columns) samples along rows as coefficients; rows are independent, so a raster may come in
+    parts.
+    """
     spline = np.asarray(
         cv2.transpose(np.asarray(raster, dtype=float)), dtype=float
     )  # numpy's takes longer than the filter
@@ -40,7 +45,7 @@ def along_rows(raster: Floats) -> Floats:
 
 
 def filter_columns(spline: Floats | Floats32) -> None:
-    """Samples along columns become coefficients, in place; in double precision, whatever they are kept in."""
+    """Turn samples along columns into coefficients, in place, computed in double precision."""
     for first in range(0, spline.shape[1], AT_ONCE):
         some = np.array(spline[:, first : first + AT_ONCE], dtype=float, order="C")
         _filter_columns(some)
@@ -48,8 +53,11 @@ def filter_columns(spline: Floats | Floats32) -> None:
 
 
 def read(spline: Floats | Floats32, onto: Floats, shape: tuple[int, int]) -> Floats32:
-    """(rows, columns) of a shape, [i, j] the spline's value at the raster's place `onto` (3, 3) @ (i, j, 1); 0 near and beyond
-    its borders, where the spline has no six samples. spline: from `coefficients`, in either precision.
+    """Return (rows, columns) of a shape, [i, j] the spline's value at the raster's place `onto` (3, 3) @ (i, j,
+    1).
+
+    The value is 0 near and beyond the raster's borders, where the spline lacks six samples.
+    spline: from `coefficients`, in either precision.
     """
     values = np.zeros(shape, np.float32)
     _read(spline, np.ascontiguousarray(onto, dtype=float), values)
@@ -58,7 +66,7 @@ def read(spline: Floats | Floats32, onto: Floats, shape: tuple[int, int]) -> Flo
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _read(spline: Floats | Floats32, onto: Floats, values: Floats32) -> None:
-    """Row by row: places, then weights, then sums, each of which the compiler makes several pixels of at once."""
+    """Compute places, then weights, then sums, row by row; the compiler vectorises each loop."""
     rows, columns = spline.shape
     many = values.shape[1]
     row, column = np.empty(many, np.int32), np.empty(many, np.int32)
@@ -97,7 +105,9 @@ def _read(spline: Floats | Floats32, onto: Floats, values: Floats32) -> None:
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _weigh(places: Floats32, weights: Floats32) -> None:
-    """Weights (6, n) of the six samples around each of n places (0..1) past the third: the quintic B-spline's pieces."""
+    """Compute weights (6, n) of the six samples around each of n places (0..1) past the third: the quintic
+    B-spline.
+    """
     one, two, half, quarter = (
         np.float32(1),
         np.float32(2),
@@ -123,7 +133,7 @@ def _weigh(places: Floats32, weights: Floats32) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _filter_columns(samples: Floats) -> None:
-    """Samples along axis 0 become coefficients of the spline through them, in place."""
+    """Turn samples along axis 0 into coefficients of the spline through them, in place."""
     rows, columns = samples.shape
     for z in POLES:
         first = np.zeros(columns)

@@ -1,4 +1,4 @@
-"""Where the target stands: the homography from its plane to the sensor's pixels (thesis 2.8, Appendix C)."""
+"""The target's pose: the homography from its plane to the sensor's pixels (thesis 2.8, Appendix C)."""
 
 from dataclasses import dataclass
 
@@ -34,9 +34,10 @@ class Pose:
 
     @classmethod
     def from_corners(cls, corners_px: Floats, size_mm: tuple[float, float]) -> "Pose":
-        """From the four corners (4, 2) as (row, col), in the order of the target's own (0,0), (0,w), (h,w), (h,0).
+        """Return the pose of corners (4, 2) as (row, col), in the order of the target's own (0,0), (0,w),
+        (h,w), (h,0).
 
-        Raises ValueError for another shape and for corners of which three lie on a line.
+        Raises ValueError for another shape and for three corners on a line.
         """
         row, col = real_array("corners_px", corners_px, (4, 2), "pixels").T
         one, zero = np.ones(4), np.zeros(4)
@@ -59,11 +60,11 @@ class Pose:
         return cls(v, (size_mm[0] / 2, size_mm[1] / 2))
 
     def moved(self, step: Floats) -> "Pose":
-        """The pose v + step."""
+        """Return the pose v + step."""
         return Pose(self.v + step, self.half_size_mm)
 
     def shifted(self, rows: float, columns: float) -> "Pose":
-        """The same pose in pixel coordinates whose origin lies at (rows, columns)."""
+        """Return the pose in pixel coordinates with their origin at (rows, columns)."""
         v = self.v.copy()
         v[[0, 1, 2]] -= rows * np.array([1, v[6], v[7]])
         v[[3, 4, 5]] -= columns * np.array([1, v[6], v[7]])
@@ -76,11 +77,11 @@ class Pose:
         return np.array([[v[1], v[2], v[0]], [v[4], v[5], v[3]], [v[6], v[7], 1.0]])
 
     def corners_px(self) -> Floats:
-        """(4, 2) corners as (row, col)."""
+        """Return (4, 2) corners as (row, col)."""
         return self.to_pixels(CORNER_Y, CORNER_X)
 
     def to_pixels(self, y: Floats, x: Floats) -> Floats:
-        """Pixels (..., 2) of unit target coordinates (...)."""
+        """Return the pixels (..., 2) of unit target coordinates (...)."""
         v = self.v
         w = 1 + v[6] * y + v[7] * x
         return np.stack(
@@ -88,22 +89,24 @@ class Pose:
         )
 
     def to_target(self, row: Floats, col: Floats) -> tuple[Floats, Floats]:
-        """Unit target coordinates (y, x) of pixels; row and col broadcast together."""
+        """Return the unit target coordinates (y, x) of pixels; row and col broadcast together."""
         inverse = np.linalg.inv(self.matrix)
         y, x, w = (a * row + b * col + c for a, b, c in inverse)
         return y / w, x / w
 
     def pixel_per_unit(self) -> tuple[float, float]:
-        """Pixels spanned by one unit of y and of x at the target's centre."""
+        """Return the pixels spanned by one unit of y and of x at the target's centre."""
         v = self.v
         dy = np.hypot(v[1] - v[0] * v[6], v[4] - v[3] * v[6])
         dx = np.hypot(v[2] - v[0] * v[7], v[5] - v[3] * v[7])
         return float(dy), float(dx)
 
     def log_scale(self) -> tuple[float, Floats]:
-        """ln of pixels per mm at the target's centre, the geometric mean over all directions; and its slopes (8,) by v.
+        """Return ln of pixels per mm at the target's centre, the geometric mean over directions, and its slopes
+        (8,) by v.
 
-        A tilt of t makes it less than that of a target that does not lean, by t^2 / 4 and what `log_foreshortening` gives.
+        A target tilted by t has a smaller scale than an upright one, by t^2 / 4 and the
+        result of `log_foreshortening`.
         """
         log_det = np.linalg.slogdet(self.matrix)[1]
         slopes = np.asarray(0.5 * np.linalg.inv(self.matrix).T, dtype=float)
@@ -111,10 +114,12 @@ class Pose:
         return float(mean), slopes[[0, 0, 0, 1, 1, 1, 2, 2], [2, 0, 1, 2, 0, 1, 0, 1]]
 
     def log_foreshortening(self) -> float:
-        """ln of pixels per mm along the line through the target's centre that does not recede, less the mean of all directions.
+        """Return ln of pixels per mm along the line of constant range through the target's centre, less the
+        mean of all directions.
 
-        A tilt shortens the target across that line only, wherever it stands in the picture. The line has (y, x) in the
-        direction (v7, -v6); where nothing recedes nothing is shortened.
+        A tilt shortens the target only across this line, wherever the target is in the
+        image. The line has (y, x) in the direction (v7, -v6); an upright target is not
+        shortened.
         """
         v, (tall, wide) = self.v, self.half_size_mm
         if not v[6:].any():
@@ -127,7 +132,7 @@ class Pose:
         )
 
     def jacobian(self, row: Floats, col: Floats) -> tuple[Floats, Floats]:
-        """Derivatives (8, ...) of row and of col by v, for the target's points at these pixels."""
+        """Return derivatives (8, ...) of row and of col by v, for the target's points at these pixels."""
         y, x, one = (
             a * row + b * col + c for a, b, c in np.linalg.inv(self.matrix)
         )  # (y, x, 1) / (1 + v6 y + v7 x)

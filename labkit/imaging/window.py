@@ -1,4 +1,4 @@
-"""How wide a window a PSF needs: what its wavefront throws farther is lost to the model."""
+"""The width of a PSF's window: the model loses light thrown farther by the wavefront."""
 
 from collections.abc import Sequence
 
@@ -16,12 +16,14 @@ FADING = 0.2  # of the window, both borders together, along rows and columns
 
 
 def window_for(noll: Sequence[int], waves: Floats, longest: float = 1.0) -> float:
-    """Width of a window, in lambda N, beyond which a PSF differs from a perfect lens's by STRAYED of all light.
+    """Return the width of a window, in lambda N, beyond which a PSF differs from a perfect lens's by STRAYED of
+    all light.
 
-    noll: modes; waves: (modes,) RMS, of the light's own length. longest: radius of the pupil's rim.
-    Light far out comes from the pupil's rim and lies around the
-    places to which rays from there go, as lambda N / (pi r)^3 about each: the mean of that over places e away from the centre
-    is larger than for e = 0 by (e / r)^2 and a factor, which leaves OF_HALO e^2 / r^3 beyond r.
+    noll: modes; waves: (modes,) RMS, of the light's own wavelength. longest: radius of the
+    pupil's rim. Light far out comes from the pupil's rim. It falls as lambda N / (pi r)^3
+    about the points reached by rays from the rim. The mean over points at distances e from
+    the centre exceeds the value for e = 0 by (e / r)^2 and a factor, which leaves OF_HALO
+    e^2 / r^3 beyond r.
     """
     distance = rim_rays_airy(noll, waves, longest)
     reach = np.cbrt(OF_HALO * np.mean(distance**2) / STRAYED)
@@ -29,7 +31,9 @@ def window_for(noll: Sequence[int], waves: Floats, longest: float = 1.0) -> floa
 
 
 def rim_rays_airy(noll: Sequence[int], waves: Floats, longest: float = 1.0) -> Floats:
-    """(RAYS,) distance from the PSF's centre, lambda N, at which rays from the pupil's rim arrive: twice the path's slope."""
+    """Return (RAYS,) distances from the PSF's centre, lambda N, of rays from the pupil's rim: twice the path's
+    slope.
+    """
     theta = np.linspace(0, 2 * np.pi, RAYS, endpoint=False)
 
     def path(rho: float, turn: float) -> Floats:
@@ -45,9 +49,10 @@ def rim_rays_airy(noll: Sequence[int], waves: Floats, longest: float = 1.0) -> F
 
 
 def fading(size: int) -> Floats:
-    """(size,) weights that fade out towards a window's borders along a cosine: J. W. Tukey's.
+    """Return (size,) weights that fade out towards a window's borders along a cosine: J. W. Tukey's.
 
-    They are `scipy.signal.windows.tukey`'s, whose import takes a quarter of the time that a worker takes to begin.
+    They equal `scipy.signal.windows.tukey`, whose import takes a quarter of a worker's
+    start.
     """
     inwards = np.minimum(np.arange(size), np.arange(size)[::-1]) / (
         0.5 * FADING * (size - 1)

@@ -1,9 +1,10 @@
-"""Energy within circles about a point image, its halo counted, however far it reaches.
+"""Energy within circles about a point image, including the halo however far it reaches.
 
-By Parseval's theorem the share within r is the integral of the transfer function against the transform of a disc, which
-ends at the cutoff frequency: E(r) = 2 pi r * integral of T(f) J1(2 pi r f) df, T the transfer function averaged over
-directions. No window cuts the tails off.
-For a perfect lens it is Rayleigh's 1 - J0^2 - J1^2; Born and Wolf, Principles of Optics, 7th ed., §8.5.2.
+By Parseval's theorem the share within r is the integral of the transfer function against
+the transform of a disc, which ends at the cutoff frequency: E(r) = 2 pi r * integral of
+T(f) J1(2 pi r f) df, T the transfer function averaged over directions. No window cuts off
+the tails. A perfect lens has Rayleigh's 1 - J0^2 - J1^2; Born and Wolf, Principles of
+Optics, 7th ed., §8.5.2.
 """
 
 from dataclasses import dataclass
@@ -45,13 +46,13 @@ class _Mean:
     slopes: Floats
 
     def energy(self, radius_um: Floats) -> tuple[Floats, Floats]:
-        """(r,) shares within radii, and (modes, r) their derivatives."""
+        """Return (r,) shares within radii, and (modes, r) their derivatives."""
         argument = 2 * np.pi * np.outer(self.frequency, radius_um)
         kernel = j1(argument) * self.weight[:, None] * 2 * np.pi * radius_um
         return self.value @ kernel, self.slopes @ kernel
 
     def density(self, radius_um: Floats) -> Floats:
-        """(r,) energy per um of radius."""
+        """Return (r,) energy per um of radius."""
         kernel = (self.frequency * self.weight)[:, None] * j0(
             2 * np.pi * np.outer(self.frequency, radius_um)
         )
@@ -60,7 +61,7 @@ class _Mean:
 
 @in_any_light
 def encircled_energy(wavefront: FittedWavefront, radius_um: ArrayLike) -> EncircledEnergy:
-    """The share of all energy within circles about the PSF's centroid, at radii of any shape.
+    """Return the share of all energy within circles about the PSF's centroid, at radii of any shape.
 
     Raises ValueError for radii below 0.
     """
@@ -77,10 +78,10 @@ def encircled_energy(wavefront: FittedWavefront, radius_um: ArrayLike) -> Encirc
 
 @in_any_light
 def radius_of_energy(wavefront: FittedWavefront, share: float) -> Uncertain:
-    """The radius, um, of the circle about the PSF's centroid that holds a share of the energy.
+    """Return the radius, um, of the circle about the PSF's centroid with a share of the energy.
 
-    Raises ValueError for a share that is not between 0 and 0.99: the last hundredth lies in the diffraction halo, which any
-    dust changes.
+    Raises ValueError for a share that is not between 0 and 0.99: the last hundredth is in
+    the diffraction halo, which any dust changes.
     """
     if not 0 < share <= MOST:
         raise ValueError(
@@ -103,10 +104,11 @@ def radius_of_energy(wavefront: FittedWavefront, share: float) -> Uncertain:
 
 
 def about_centroid(wavefront: FittedWavefront) -> FittedWavefront:
-    """The wavefront with the tilts that bring its PSF's centroid to the centre, whatever tilts it had.
+    """Return the wavefront with the tilts that move its PSF's centroid to the centre, whatever tilts it had.
 
-    The centroid is the mean slope of the path over the pupil, by Gauss's theorem its mean over the rim times the outward
-    normal: among the modes of azimuthal order 1 each counts with its value on the rim.
+    The centroid is the mean slope of the path over the pupil. By Gauss's theorem this is
+    the mean over the rim times the outward normal: each mode of azimuthal order 1 counts
+    with its value on the rim.
     """
     rest = wavefront.without((2, 3))
     matrix = np.vstack([np.zeros((2, len(rest.noll))), np.eye(len(rest.noll))])
@@ -122,7 +124,7 @@ def about_centroid(wavefront: FittedWavefront) -> FittedWavefront:
 
 
 def _mean_slopes(wavefront: FittedWavefront) -> Floats:
-    """(2, modes) mean slopes of the modes along x and y over a pupil that is no disc."""
+    """Return (2, modes) mean slopes of the modes along x and y over a pupil that is no disc."""
     x, y, weights = wavefront.rim.quadrature(24, 96)
     steps = ((STEP, 0.0), (0.0, STEP))
     return np.array(
@@ -139,7 +141,7 @@ def _mean_slopes(wavefront: FittedWavefront) -> Floats:
 
 
 def _mean_transfer(wavefront: FittedWavefront, radius_um: float) -> _Mean:
-    """The mean over directions at frequencies dense enough for radii up to the given, one light after another."""
+    """Return the mean over directions at frequencies dense enough for a radius, one wavelength after another."""
     shares, lights = zip(*wavefront.lights, strict=True)
     means = [_mean_in_one_light(light, radius_um) for light in lights]
     return _Mean(

@@ -19,8 +19,8 @@ WITHIN = float(erf(0.5**0.5))
 def error_with_bias(std: Floats, bias: Floats) -> Floats:
     """Return the half-width with the coverage of one standard error, for estimates with a known bias.
 
-    A squared normal error with a bias follows the noncentral chi-squared distribution. For a bias beyond a hundred standard
-    errors the width grows as the bias does.
+    A squared normal error with a bias follows the noncentral chi-squared distribution. For
+    a bias beyond a hundred standard errors the width grows with the bias.
 
     Parameters
     ----------

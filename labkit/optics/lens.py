@@ -47,7 +47,7 @@ class ThinLens:
         return self.pupil_magnification * self.focal_length_mm / self.f_number
 
     def image_distance_mm(self, range_mm: Floats | float) -> Floats:
-        """Distance behind the rear principal plane where a range comes to focus, mm. Thesis (E.1).
+        """Return the distance behind the rear principal plane where a range comes to focus, mm. Thesis (E.1).
 
         Raises ValueError for a range not beyond the focal length.
         """
@@ -59,12 +59,13 @@ class ThinLens:
         return range_mm * self.focal_length_mm / (range_mm - self.focal_length_mm)
 
     def focused_magnification(self, focus_mm: Floats | float) -> Floats:
-        """Size of the picture over the object's, unitless, at the best focus of a range: f / (r - f)."""
+        """Return the size of the image over the object's, unitless, at the best focus of a range: f / (r - f)."""
         return np.asarray(self.image_distance_mm(focus_mm) / np.asarray(focus_mm))
 
     def working_f_number(self, focus_mm: Floats | float) -> Floats:
-        """f-number of the cone that reaches the sensor of a lens focused at a range: N (1 + m0 / mp), the same wherever the
-        target stands."""
+        """Return the working f-number of a lens focused at a range: N (1 + m0 / mp), whatever the target's
+        range.
+        """
         return self.f_number * (
             1 + self.focused_magnification(focus_mm) / self.pupil_magnification
         )
@@ -72,19 +73,22 @@ class ThinLens:
     def chief_ray_scale(
         self, target_mm: Floats | float, focus_mm: Floats | float
     ) -> Floats:
-        """Size of the picture over the target's, unitless, of a target at one range and a lens focused at another.
+        """Return the size of the image over the target's, unitless, for a target at one range and focus at
+        another.
 
-        Along chief rays, through the pupils' centres: blur moves no size. target_mm, focus_mm: broadcast together.
+        Chief rays go through the pupils' centres, so blur changes no size. target_mm,
+        focus_mm: broadcast together.
         """
         f, mp = self.focal_length_mm, self.pupil_magnification
         from_entrance_mm = real_array("target_mm", target_mm, None, "mm") - f + f / mp
         return np.asarray(self.pupil_to_image_mm(focus_mm) / (mp * from_entrance_mm))
 
     def in_colour(self, focus_mm: Floats | float, reference_mm: Floats | float) -> ThinLens:
-        """The lens in a colour that focuses at one range where this one does at another: they share sensor and aperture.
+        """Return the lens in a colour that focuses at focus_mm where this lens focuses at reference_mm.
 
-        The sensor stands where this lens focuses reference_mm, so the colour's focal length is that which brings focus_mm
-        there. focus_mm, reference_mm: broadcast together.
+        Both share sensor and aperture. The sensor is where this lens focuses reference_mm,
+        so the colour's focal length brings focus_mm to the same place. focus_mm,
+        reference_mm: broadcast together.
         """
         focal_mm = 1 / (1 / self.image_distance_mm(reference_mm) + 1 / np.asarray(focus_mm))
         f_number = self.f_number * focal_mm / self.focal_length_mm
@@ -95,7 +99,10 @@ class ThinLens:
     def pupil_to_image_mm(
         self, range_mm: Floats | float, convention: Convention = "corrected"
     ) -> Floats:
-        """Distance from the exit pupil to the image of a range, mm. Thesis (E.2); (4.40) prints the sign of (mp-1) wrong."""
+        """Return the distance from the exit pupil to the image of a range, mm.
+
+        Thesis (E.2); (4.40) prints the sign of (mp-1) wrong.
+        """
         offset = (self.pupil_magnification - 1.0) * self.focal_length_mm
         return self.image_distance_mm(range_mm) + (
             offset if convention == "corrected" else -offset
@@ -109,10 +116,11 @@ def defocus_waves(
     reference_nm: float,
     convention: Convention = "corrected",
 ) -> Floats:
-    """RMS defocus, in waves at the reference wavelength, of a target at one range seen by a lens focused at another.
+    """Return the RMS defocus of a target at one range, focus at another, in waves at the reference wavelength.
 
-    target_mm, focus_mm: ranges, broadcast together; positive where the target lies beyond best focus.
-    Thesis (4.40), with the sagitta about the exit pupil as (E.2) and (E.9) have it, unless convention is "thesis".
+    The defocus is positive for a target beyond best focus. target_mm, focus_mm: ranges,
+    broadcast together. Thesis (4.40), with the sagitta about the exit pupil as in (E.2) and
+    (E.9), unless convention is "thesis".
     """
     positive("reference_nm", reference_nm, "nm")
     half_squared = (lens.exit_pupil_mm / 2.0) ** 2
@@ -124,19 +132,20 @@ def defocus_waves(
 
 
 def _sagitta_mm(radius_mm: Floats, half_squared: float) -> Floats:
-    """R - sqrt(R^2 - h^2) of a wave over its pupil, without the loss of its digits."""
+    """Return R - sqrt(R^2 - h^2) of a wave over its pupil, without loss of digits."""
     return np.asarray(half_squared / (radius_mm + np.sqrt(radius_mm**2 - half_squared)))
 
 
 def blur_per_wave_um(f_number: float, reference_um: float) -> float:
-    """Diameter of the geometric blur on the sensor, um, that one wave RMS of defocus makes.
+    """Return the diameter of the geometric blur on the sensor, um, for one wave RMS of defocus.
 
-    A defocus of peak to valley W makes a circle 8 N W wide: it moves the focus by 8 N^2 W along a cone of f-number N.
+    A defocus of W peak to valley makes a circle 8 N W wide: it moves the focus by 8 N^2 W
+    in a beam of f-number N.
 
     Parameters
     ----------
-    f_number : N, of the cone that reaches the sensor
-    reference_um : the wavelength that defocus is counted in
+    f_number : working f-number N
+    reference_um : wavelength of the unit of defocus
     """
     return float(8 * f_number * PV_PER_RMS * reference_um)
 
@@ -144,7 +153,7 @@ def blur_per_wave_um(f_number: float, reference_um: float) -> float:
 def circle_of_confusion_mm(
     lens: ThinLens, target_mm: Floats | float, focus_mm: Floats | float
 ) -> Floats:
-    """Diameter on the sensor of the geometric blur of a point. Thesis (E.9)."""
+    """Return the diameter on the sensor of the geometric blur of a point. Thesis (E.9)."""
     image, focus = lens.image_distance_mm(target_mm), lens.image_distance_mm(focus_mm)
     return np.asarray(
         lens.exit_pupil_mm * np.abs(focus - image) / lens.pupil_to_image_mm(target_mm)
@@ -154,7 +163,7 @@ def circle_of_confusion_mm(
 def ground_sample_mm(
     lens: ThinLens, range_mm: Floats | float, pixel_pitch_um: float
 ) -> Floats:
-    """What one pixel spans on a target at a range, mm. Thesis (2.35)."""
+    """Return the width of one pixel on a target at a range, mm. Thesis (2.35)."""
     range_mm = real_array("range_mm", range_mm, None, "mm")
     positive("pixel_pitch_um", pixel_pitch_um, "um")
     return np.asarray(

@@ -1,7 +1,7 @@
-"""What a lens test reports of a fitted wavefront, each number with its standard error by the delta method.
+"""Metrics of a lens test from a fitted wavefront, each with its standard error by the delta method.
 
-Angles run from x (right, along the sensor's rows) towards y (down its columns), as the pupil's do. Path differences are
-in waves at the reference wavelength.
+Angles run from x (right, along the sensor's rows) towards y (down its columns), like the
+pupil's. Path differences are in waves at the reference wavelength.
 """
 
 from collections.abc import Collection
@@ -42,7 +42,7 @@ class Psf:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OpdMap:
-    """Path difference over the pupil, (n, n) waves at the reference wavelength, nan outside it; std: its errors."""
+    """Path difference over the pupil, (n, n) waves at the reference wavelength, nan outside; std: its errors."""
 
     value: Floats
     std: Floats
@@ -50,14 +50,14 @@ class OpdMap:
 
 @dataclass(frozen=True, slots=True)
 class Directed:
-    """A pair of modes as one: magnitude, waves RMS, and the angle at which the path difference is greatest, degrees."""
+    """A pair of modes as magnitude, waves RMS, and the angle of the greatest path difference, degrees."""
 
     magnitude: Uncertain
     angle_deg: Uncertain
 
 
 def psf(wavefront: FittedWavefront, spacing_um: float, size: int | None = None) -> Psf:
-    """The PSF of the optics alone on a grid of a spacing, with standard errors, that of the f-number included.
+    """Return the PSF of the optics alone on a grid, with standard errors that include the f-number's.
 
     Arguments and errors raised as of `psf_value`.
     """
@@ -90,17 +90,18 @@ def _by_light(
 def psf_value(
     wavefront: FittedWavefront, spacing_um: float, size: int | None = None
 ) -> Floats:
-    """(size, size) PSF of the optics alone on a grid of a spacing, unit sum, its centre in the middle, in all of its light.
+    """Return the (size, size) PSF of the optics alone in all of its light, unit sum, its centre in the middle.
 
-    size: samples along a side, odd; by default the window reaches 32 lambda N from the centre. Raises ValueError for an even
-    size, and for a spacing above lambda N, which undersamples so much that the samples' sum depends on where they lie.
+    size: samples along a side, odd; by default the window reaches 32 lambda N from the
+    centre. Raises ValueError for an even size, and for a spacing above lambda N, at which
+    the samples' sum would depend on their position.
     """
     value, _ = _psf_at(wavefront, spacing_um, size, slice(0))
     return np.asarray(value / value.sum())
 
 
 def psf_difference(wavefront: FittedWavefront, other: FittedWavefront) -> float:
-    """Summed absolute difference of two PSFs at the same points of the sensor; each sums to 1."""
+    """Return the summed absolute difference of two PSFs of unit sum at the same points of the sensor."""
     spacing_um = wavefront.wavelength_um * wavefront.f_number / 2
     size = 4 * int(HALF_WIDTH_AIRY) + 1
     return float(
@@ -113,7 +114,7 @@ def psf_difference(wavefront: FittedWavefront, other: FittedWavefront) -> float:
 def _psf_at(
     wavefront: FittedWavefront, spacing_um: float, size: int | None, modes: slice
 ) -> tuple[Floats, Floats]:
-    """The PSF on the grid, in any scale, and its derivatives by some modes; pupils are sampled finely enough."""
+    """Return the PSF on the grid, in any scale, and its derivatives by some modes, for a finely sampled pupil."""
     airy_um = wavefront.wavelength_um * wavefront.f_number
     if not positive("spacing_um", spacing_um, "um") <= airy_um:
         raise ValueError(
@@ -148,9 +149,10 @@ def _psf_at(
 def opd_map(
     wavefront: FittedWavefront, samples: int, without: Collection[int] = ()
 ) -> OpdMap:
-    """Path difference on samples x samples squares that cover the pupil, at their centres; a disc's edge is at their border.
+    """Return the path difference at the centres of samples x samples squares over the pupil.
 
-    without: Noll modes to leave out. Raises ValueError for fewer than one sample.
+    A disc's edge touches the border of the squares. without: Noll modes to omit. Raises
+    ValueError for fewer than one sample.
     """
     if samples < 1:
         raise ValueError(f"samples = {samples}: at least 1 is needed")
@@ -166,8 +168,10 @@ def opd_map(
 
 
 def rms(wavefront: FittedWavefront, without: Collection[int] = ()) -> Uncertain:
-    """RMS of the path difference about its mean over the clear pupil. without: Noll modes to leave out; the errors are as
-    `magnitude`'s."""
+    """Return the RMS of the path difference about its mean over the clear pupil, with errors as `magnitude`.
+
+    without: Noll modes to omit
+    """
     wavefront = wavefront.without({1, *without})
     if wavefront.rim.is_round:
         return magnitude(wavefront)
@@ -181,7 +185,9 @@ def rms(wavefront: FittedWavefront, without: Collection[int] = ()) -> Uncertain:
 
 
 def rms_by_order(wavefront: FittedWavefront) -> dict[int, Uncertain]:
-    """RMS of the modes of each radial order, waves at the reference wavelength, by order; the errors are as `magnitude`'s."""
+    """Return the RMS of each radial order's modes, waves at the reference wavelength, with errors as
+    `magnitude`.
+    """
     orders = sorted({noll_to_nm(j)[0] for j in wavefront.noll})
     return {
         order: rms(
@@ -192,11 +198,12 @@ def rms_by_order(wavefront: FittedWavefront) -> dict[int, Uncertain]:
 
 
 def magnitude(wavefront: FittedWavefront) -> Uncertain:
-    """Root of the sum of the squared coefficients, waves RMS.
+    """Return the root of the sum of the squared coefficients, waves RMS.
 
-    Near zero it has no derivative and errors only make it larger, so the standard error comes from that of its square, of which
-    mean and variance are known exactly for normal errors: sqrt(r^2 + e) - r at r^2 with an RMS error e. Far from zero, that is
-    the delta method's.
+    Near zero the root has no derivative and errors only increase it. The standard error
+    therefore comes from the square, of which mean and variance are known exactly for normal
+    errors: sqrt(r^2 + e) - r at r^2 with an RMS error e. Far from zero, the delta method
+    gives the same.
     """
     a, covariance = wavefront.waves, wavefront.covariance
     value = float(np.linalg.norm(a))
@@ -211,9 +218,10 @@ def magnitude(wavefront: FittedWavefront) -> Uncertain:
 
 
 def peak_to_valley(wavefront: FittedWavefront, without: Collection[int] = ()) -> Uncertain:
-    """The greatest path difference less the least, to 1e-3 of itself, over the pupil with its rim.
+    """Return the greatest path difference less the least, to 1e-3 of the result, over the pupil with its rim.
 
-    without: Noll modes to leave out. The error is that of the difference between these two points.
+    without: Noll modes to omit. The error belongs to the difference between these two
+    points.
     """
     wavefront = wavefront.without(without)
     if not wavefront.noll:
@@ -226,7 +234,7 @@ def peak_to_valley(wavefront: FittedWavefront, without: Collection[int] = ()) ->
 
 @lru_cache(maxsize=4)
 def _all_over(noll: tuple[int, ...], rim: Rim) -> Floats:
-    """(modes, points) the modes over the pupil and its rim."""
+    """Return (modes, points) the modes over the pupil and its rim."""
     rho, theta = np.meshgrid(
         np.linspace(0, 1, RADII), 2 * np.pi * np.arange(RIM_ANGLES) / RIM_ANGLES
     )
@@ -236,17 +244,26 @@ def _all_over(noll: tuple[int, ...], rim: Rim) -> Floats:
 
 
 def astigmatism(wavefront: FittedWavefront) -> Directed:
-    """Primary astigmatism, Noll 5 and 6; its angle within -90 to 90 degrees. Raises ValueError if they were not fitted."""
+    """Return primary astigmatism, Noll 5 and 6; its angle within -90 to 90 degrees.
+
+    Raises ValueError if these modes were not fitted.
+    """
     return _directed(wavefront, 2, 2)
 
 
 def coma(wavefront: FittedWavefront) -> Directed:
-    """Primary coma, Noll 7 and 8; its angle within -180 to 180 degrees. Raises ValueError if they were not fitted."""
+    """Return primary coma, Noll 7 and 8; its angle within -180 to 180 degrees.
+
+    Raises ValueError if these modes were not fitted.
+    """
     return _directed(wavefront, 3, 1)
 
 
 def trefoil(wavefront: FittedWavefront) -> Directed:
-    """Primary trefoil, Noll 9 and 10; its angle within -60 to 60 degrees. Raises ValueError if they were not fitted."""
+    """Return primary trefoil, Noll 9 and 10; its angle within -60 to 60 degrees.
+
+    Raises ValueError if these modes were not fitted.
+    """
     return _directed(wavefront, 3, 3)
 
 

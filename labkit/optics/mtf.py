@@ -1,8 +1,9 @@
-"""Transfer of modulation by a fitted wavefront: the autocorrelation of its pupil, integrated at each frequency as it stands.
+"""MTF of a fitted wavefront: the autocorrelation of its pupil, integrated separately for each frequency.
 
-No raster and no window come in: at a frequency f along a direction, two copies of the pupil 2 f lambda N of its radius apart
-overlap in a lens-shaped region. With y = sin(beta) its borders are smooth, and Gauss's rule in beta and x converges
-geometrically. J. W. Goodman, Introduction to Fourier Optics, 3rd ed. (1996), §6.4.
+No raster and no window enter. At a frequency f along a direction, two copies of the pupil 2
+f lambda N of its radius apart overlap in a lens-shaped region. With y = sin(beta) its
+borders are smooth, and Gauss's rule in beta and x converges geometrically. J. W. Goodman,
+Introduction to Fourier Optics, 3rd ed. (1996), §6.4.
 """
 
 from collections.abc import Sequence
@@ -44,7 +45,13 @@ HALF_MODULATION_GRID = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Curve:
-    """Modulation at frequencies with standard errors, arrays of one shape. frequency_per_mm: cycles/mm on the sensor."""
+    """Modulation at frequencies with standard errors.
+
+    Parameters
+    ----------
+    frequency_per_mm : cycles/mm on the sensor
+    value, std : modulation and its standard error, of the same shape
+    """
 
     frequency_per_mm: Floats
     value: Floats
@@ -52,12 +59,13 @@ class Curve:
 
 
 def azimuth_deg(direction: Direction | float, field: Sequence[float] = (0.0, 0.0)) -> float:
-    """Direction of a frequency on the sensor, degrees from x (right, along rows) towards y (down, along columns).
+    """Return the direction of a frequency, degrees from x (right, along rows) towards y (down, along columns).
 
-    field: (row, column) of the place on the sensor as seen from the optical axis, in any unit. Tangential frequencies point
-    along that radius, as in a meridional plane (their lines are tangents of circles about the axis); sagittal ones across it.
-    On the axis, where both are the same by symmetry, the field is taken to lie along y: tangential is y, sagittal is x.
-    Raises ValueError for another direction.
+    Tangential frequencies point along the field's radius, as in a meridional plane (their
+    lines are tangents of circles about the axis); sagittal frequencies point across. On the
+    axis, where both are the same by symmetry, the field counts as along y: tangential is y,
+    sagittal is x. field: (row, column) of the place on the sensor from the optical axis, in
+    any unit. Raises ValueError for another direction.
     """
     if not isinstance(direction, str):
         return float(real_array("direction", direction, (), "degrees from x towards y"))
@@ -79,11 +87,21 @@ def mtf(
     direction: Direction | float,
     field: Sequence[float] = (0.0, 0.0),
 ) -> Curve:
-    """Modulation transfer of the optics alone along a direction, at frequencies of any shape, with standard errors.
+    """Return the modulation transfer of the optics alone along a direction, with standard errors.
 
-    direction, field: as in `azimuth_deg`. Errors are by the delta method, that of the f-number included. Where the MTF is zero
-    it has no derivative: there they are those of the transfer function itself; where it is of the order of its errors, they
-    are rough.
+    Errors follow from the delta method and include the f-number's. A zero of the MTF has no
+    derivative: there the errors are those of the transfer function itself. Errors of an MTF
+    of their own size are rough.
+
+    Parameters
+    ----------
+    wavefront : the optics
+    frequency_per_mm : frequencies of any shape, cycles/mm on the sensor
+    direction, field : as in `azimuth_deg`
+
+    Returns
+    -------
+    Modulation and errors, of the frequencies' shape
     """
     frequency = real_array(
         "frequency_per_mm", frequency_per_mm, None, "cycles/mm on the sensor"
@@ -101,7 +119,7 @@ def mtf(
 
 
 def _slope(wavefront: FittedWavefront, frequency: Floats, azimuth: float) -> Floats:
-    """Of the MTF by frequency, mm; the wider the cone, the higher each frequency that it passes alike."""
+    """Return the derivative of the MTF by frequency, mm; a larger aperture stretches the frequency axis."""
     step = 1e-4 * wavefront.cutoff_per_mm
     after, before = (
         np.abs(transfer_function(wavefront, frequency + d, azimuth)[0])
@@ -122,10 +140,11 @@ def mtf50(
     field: Sequence[float] = (0.0, 0.0),
     active_um: float | None = None,
 ) -> Uncertain:
-    """The lowest frequency, cycles/mm, at which the MTF falls to one half; the error is as of `mtf`.
+    """Return the lowest frequency, cycles/mm, at which the MTF falls to one half, with errors as `mtf`.
 
-    There is always one: every MTF ends at zero. direction, field: as in `azimuth_deg`. active_um: width of the pixel's square
-    active area, whose `pixel_mtf` is a factor then; without it, of the optics alone.
+    Such a frequency always exists: every MTF ends at zero. direction, field: as in
+    `azimuth_deg`. active_um: width of the pixel's square active area, to include its
+    `pixel_mtf`; None for the optics alone.
     """
     azimuth, cutoff = azimuth_deg(direction, field), wavefront.cutoff_per_mm
 
@@ -161,7 +180,7 @@ def pixel_mtf(
     direction: Direction | float,
     field: Sequence[float] = (0.0, 0.0),
 ) -> Floats:
-    """What a pixel's square active area of a width lets through: times the optics' MTF it is the camera's.
+    """Return the MTF of a pixel's square active area; times the optics' MTF it is the camera's.
 
     direction, field: as in `azimuth_deg`. Thesis (2.45), corrected.
     """
@@ -177,9 +196,11 @@ def pixel_mtf(
 def transfer_function(
     wavefront: FittedWavefront, frequency_per_mm: Floats, azimuth_deg: float
 ) -> tuple[Complexes, Complexes]:
-    """The transfer function (f,) at frequencies (f,) along an azimuth, and (modes, f) its derivatives per wave RMS.
+    """Return the transfer function (f,) at frequencies (f,) along an azimuth, and its derivatives (modes, f)
+    per wave RMS.
 
-    It is the Fourier transform of the PSF: light to the right of the origin has a falling phase along x.
+    The function is the Fourier transform of the PSF: light to the right of the origin has a
+    falling phase along x.
     """
     if not wavefront.rim.is_round:
         return rim_transfer(wavefront, frequency_per_mm, azimuth_deg)
@@ -191,9 +212,10 @@ def transfer_function(
 def turning_transfer_function(
     wavefront: FittedWavefront, frequency_per_mm: Floats, azimuth_deg: float
 ) -> tuple[Complexes, Complexes]:
-    """As `transfer_function`, and behind the modes' derivatives one by the azimuth, per radian: (modes + 1, f).
+    """Return `transfer_function`, with a last derivative by the azimuth, per radian: (modes + 1, f).
 
-    Turning the slice is turning the wavefront the other way, so that it costs one more row of the same sums.
+    Turning the slice equals turning the wavefront the other way, which costs one more row
+    of the same sums.
     """
     if not wavefront.rim.is_round:
         value, slopes = rim_transfer(wavefront, frequency_per_mm, azimuth_deg)
@@ -215,7 +237,7 @@ def turning_transfer_function(
 def _slice(
     wavefront: FittedWavefront, frequency_per_mm: Floats, tables: Floats
 ) -> tuple[Complexes, Complexes]:
-    """(f,) the transfer function, and (tables, f) its derivatives by paths, of which the first are the modes'."""
+    """Return (f,) the transfer function, and (tables, f) its derivatives by paths, the modes' first."""
     value, slopes = (
         np.zeros(len(frequency_per_mm), complex),
         np.zeros((len(tables), len(frequency_per_mm)), complex),
@@ -230,7 +252,7 @@ def _slice(
 def _slice_in_one_light(
     wavefront: FittedWavefront, frequency_per_mm: Floats, tables: Floats
 ) -> tuple[Complexes, Complexes]:
-    """As `_slice`; 0 beyond this light's cutoff."""
+    """Return `_slice` at one wavelength; 0 beyond the cutoff."""
     apart = np.minimum(
         2 * np.abs(frequency_per_mm) / wavefront.cutoff_per_mm, 2.0
     )  # of the pupil's radius
@@ -253,10 +275,12 @@ def _autocorrelation(
     tables: Floats,
     rule: tuple[Floats, Floats],
 ) -> tuple[Complexes, Complexes]:
-    """(f,) the integral of exp(i radians * difference of path) over the overlap, and (tables, f) its derivatives.
+    """Return (f,) the integral of exp(i radians * difference of path) over the overlap, and (tables, f) its
+    derivatives.
 
-    Paths are polynomials in x, the coefficient of each power one in y; so are their differences between the two copies, and
-    what is left to sum over the nodes are moments of the powers: products of matrices, of real numbers.
+    Paths are polynomials in x, the coefficient of each power one in y; so are their
+    differences between the two copies. The sums over the nodes are then moments of the
+    powers: products of real matrices.
     """
     node, weight = rule
     top = np.arccos(apart / 2)[:, None]
@@ -282,7 +306,10 @@ def _autocorrelation(
 
 
 def _cosine_and_sine(angle: Floats) -> tuple[Floats, Floats]:
-    """Of angles in radians, right to 1e-13: a table and Taylor's series, in half the time of NumPy's two."""
+    """Return cosine and sine of angles in radians, right to 1e-13.
+
+    A table and Taylor's series take half the time of NumPy's two functions.
+    """
     part = np.rint(angle * (TURNS / (2 * np.pi)))
     at = part.astype(np.int64) & (TURNS - 1)
     left = angle - part * (2 * np.pi / TURNS)
@@ -293,15 +320,18 @@ def _cosine_and_sine(angle: Floats) -> tuple[Floats, Floats]:
 
 
 def _differences(degree: int, by: Floats) -> Floats:
-    """(f, degree + 1, k) coefficients of (x + by)^p - (x - by)^p in powers of x."""
+    """Return (f, degree + 1, k) coefficients of (x + by)^p - (x - by)^p in powers of x."""
     p, k = np.meshgrid(np.arange(degree + 1), np.arange(max(degree, 1)), indexing="ij")
     odd = np.where((p - k) % 2 == 1, 2 * comb(p, k), 0.0)
     return np.asarray(odd * by[:, None, None] ** np.maximum(p - k, 0))
 
 
 def _tables(noll: tuple[int, ...], turn: float, slope: bool = False) -> Floats:
-    """(modes, d + 1, d + 1) modes as polynomials in coordinates of which x points along an azimuth, radians; or their slopes
-    by it."""
+    """Return (modes, d + 1, d + 1) modes, or their slopes, as polynomials in coordinates with x along an
+    azimuth.
+
+    turn: azimuth, radians; slope: whether to return the derivatives by the azimuth
+    """
     orders = [noll_to_nm(j) for j in noll]
     degree = max((n for n, _ in orders), default=0)
     tables = np.zeros((len(noll), degree + 1, degree + 1))
@@ -316,14 +346,14 @@ def _tables(noll: tuple[int, ...], turn: float, slope: bool = False) -> Floats:
 
 @lru_cache(maxsize=64)
 def _gauss(count: int) -> tuple[Floats, Floats]:
-    """Nodes and weights, (count,) each, on -1 to 1."""
+    """Return nodes and weights, (count,) each, on -1 to 1."""
     node, weight = np.polynomial.legendre.leggauss(count)
     return node, weight
 
 
 @lru_cache(maxsize=16)
 def _slopes_of(noll: tuple[int, ...]) -> Floats:
-    """(2, modes, samples) slopes of the modes, along each axis, at samples of the pupil."""
+    """Return (2, modes, samples) slopes of the modes, along each axis, at samples of the pupil."""
     rho, theta = np.meshgrid(
         np.linspace(0, 1, 9), np.linspace(0, 2 * np.pi, 24, endpoint=False)
     )
@@ -338,12 +368,12 @@ def _slopes_of(noll: tuple[int, ...]) -> Floats:
 
 
 def nodes_for(wavefront: FittedWavefront) -> int:
-    """Nodes along each side that integrate exp(i phase) over the pupil to about 1e-7 (tests hold it)."""
+    """Return the nodes along each side that integrate exp(i phase) over the pupil to about 1e-7, as tested."""
     return 16 + int(np.ceil(0.35 * steepness(wavefront)))
 
 
 def steepness(wavefront: FittedWavefront) -> float:
-    """The greatest slope of the phase, radians per radius of the pupil, by samples of it; in the shortest light."""
+    """Return the greatest sampled slope of the phase at the shortest wavelength, radians per pupil radius."""
     slopes = np.tensordot(wavefront.waves, _slopes_of(wavefront.noll), (0, 1))
     return float(
         wavefront.radians_per_wave / min(wavefront.spectrum.nodes) * np.hypot(*slopes).max()

@@ -1,13 +1,18 @@
-"""Zernike coefficients in the three usual orders, and from one to another.
+"""Zernike coefficients in the three usual orders, and conversions between them.
 
-| order  | counted from | mode                   | sources                                                                    |
+| order  | counted from | mode                   | sources
+|
 |--------|--------------|------------------------|----------------------------------------------------------------------------|
-| Noll   | 1            | unit RMS over the disc | R. J. Noll, J. Opt. Soc. Am. 66, 207 (1976)                                |
-| OSA    | 0            | unit RMS over the disc | ANSI Z80.28; L. N. Thibos et al., J. Refract. Surg. 18, S652 (2002)        |
-| Fringe | 1            | 1 at the disc's rim    | J. C. Wyant and K. Creath, Appl. Opt. Optical Eng. 11, ch. 1, table (1992) |
+| Noll   | 1            | unit RMS over the disc | R. J. Noll, J. Opt. Soc. Am. 66, 207
+(1976)                                |
+| OSA    | 0            | unit RMS over the disc | ANSI Z80.28; L. N. Thibos et al., J.
+Refract. Surg. 18, S652 (2002)        |
+| Fringe | 1            | 1 at the disc's rim    | J. C. Wyant and K. Creath, Appl. Opt.
+Optical Eng. 11, ch. 1, table (1992) |
 
-In all three, modes of azimuthal order m go with cos(m theta) or sin(m theta); theta runs from x towards y. Fringe goes on
-beyond 36 by its own rule; the set of 37 of some programs ends with R_12^0 instead, which is number 49 of that rule.
+In all three, modes of azimuthal order m go with cos(m theta) or sin(m theta); theta runs
+from x towards y. Fringe continues beyond 36 by its own rule; the set of 37 of some programs
+ends with R_12^0 instead, number 49 of this rule.
 """
 
 from collections.abc import Callable
@@ -25,13 +30,13 @@ Order = Literal["noll", "osa", "fringe"]
 
 
 def noll_to_osa(j: int) -> int:
-    """The OSA/ANSI number, from 0, of a Noll mode. Raises ValueError for j < 1."""
+    """Return the OSA/ANSI number, from 0, of a Noll mode. Raises ValueError for j < 1."""
     n, m = noll_to_nm(j)
     return (n * (n + 2) + m) // 2
 
 
 def osa_to_noll(j: int) -> int:
-    """The Noll mode of an OSA/ANSI number. Raises ValueError for j < 0."""
+    """Return the Noll mode of an OSA/ANSI number. Raises ValueError for j < 0."""
     if j < 0:
         raise ValueError(f"OSA index {j}: modes are counted from 0")
     n = (isqrt(8 * j + 1) - 1) // 2
@@ -39,13 +44,13 @@ def osa_to_noll(j: int) -> int:
 
 
 def noll_to_fringe(j: int) -> int:
-    """The Fringe number, from 1, of a Noll mode. Raises ValueError for j < 1."""
+    """Return the Fringe number, from 1, of a Noll mode. Raises ValueError for j < 1."""
     n, m = noll_to_nm(j)
     return ((n + abs(m)) // 2 + 1) ** 2 - 2 * abs(m) + (m < 0)
 
 
 def fringe_to_noll(j: int) -> int:
-    """The Noll mode of a Fringe number. Raises ValueError for j < 1."""
+    """Return the Noll mode of a Fringe number. Raises ValueError for j < 1."""
     if j < 1:
         raise ValueError(f"Fringe index {j}: modes are counted from 1")
     group = isqrt(j - 1)  # (n + |m|) / 2, the same for 2 group + 1 numbers in a row
@@ -55,7 +60,7 @@ def fringe_to_noll(j: int) -> int:
 
 
 def rim_value(j: int) -> float:
-    """The greatest value of Noll mode j on the disc's rim: what a unit-RMS coefficient is multiplied by for Fringe."""
+    """Return the greatest value of Noll mode j on the disc's rim: Fringe's coefficient over the unit-RMS one."""
     n, m = noll_to_nm(j)
     return sqrt(n + 1) if m == 0 else sqrt(2 * (n + 1))
 
@@ -80,7 +85,7 @@ class Coefficients:
 
 
 def coefficients(wavefront: FittedWavefront, order: Order) -> Coefficients:
-    """The coefficients of a wavefront in one of the orders. Raises ValueError for another."""
+    """Return the coefficients of a wavefront in one of the orders. Raises ValueError for another order."""
     conversions: dict[str, Callable[[int], int]] = {
         "noll": int,
         "osa": noll_to_osa,

@@ -1,8 +1,9 @@
 """The point-spread function of a pupil with a Zernike wavefront, and its derivatives (thesis, Appendix H).
 
-Orientation: pupil coordinates point as the sensor's do, x to the right (columns), y down (rows); theta = atan2(y, x). A
-path difference that grows to the right throws the light to the right: the field is the forward transform of the pupil
-function, as in the diffraction integral. The thesis writes the inverse transform: its pupil is ours turned by 180 degrees,
+Orientation: pupil coordinates point as the sensor's do, x to the right (columns), y down
+(rows); theta = atan2(y, x). A path difference that grows to the right moves the light to
+the right: the field is the forward transform of the pupil function, as in the diffraction
+integral. The thesis writes the inverse transform: its pupil is rotated by 180 degrees,
 which changes the sign of every odd mode.
 """
 
@@ -25,14 +26,16 @@ Field = TypeVar("Field", Complexes, Complexes64)
 
 @dataclass(frozen=True)
 class Pupil:
-    """A pupil sampled so that one FFT leads to the PSF on the grid that is wanted.
+    """A pupil sampled so that one FFT leads to the PSF on the requested grid.
 
-    wavelength_um, reference_um: of the light, and the one that wavefronts are counted in.
-    f_number: of the beam that reaches the sensor. spacing_um: of the PSF. size: samples along a side of the PSF's window.
-    noll: the modes of the wavefront, over the circle of equal clear area, as the f-number is. rim: of the clear area.
-    amplitude: (n, n) aperture with a smooth edge, its centre in the middle. modes: (modes, n, n) Zernike polynomials there.
+    wavelength_um, reference_um: of the light, and of the unit of wavefronts. f_number:
+    working f-number. spacing_um: of the PSF. size: samples along a side of the PSF's
+    window. noll: the modes of the wavefront, over the circle of equal clear area, like the
+    f-number. rim: of the clear area. amplitude: (n, n) aperture with a smooth edge, its
+    centre in the middle. modes: (modes, n, n) Zernike polynomials there.
 
-    Sampling the pupil folds what lies beyond the window back into it; `Blur` mends that.
+    Sampling the pupil folds light from beyond the window back into the window; `Blur`
+    corrects this.
     """
 
     wavelength_um: float
@@ -73,7 +76,7 @@ class Pupil:
         )
 
     def check_sampling(self, stretch: float = 1.0) -> None:
-        """Raises ValueError where the grid is too coarse for the PSF, stretched by a factor as of `stretched`."""
+        """Raise ValueError if the grid is too coarse for the PSF, stretched by a factor as of `stretched`."""
         nyquist_um = stretch * self.wavelength_um * self.f_number / (2 * self.rim.reach)
         if not 0 < self.spacing_um <= nyquist_um * (1 + 1e-9):
             raise ValueError(
@@ -82,11 +85,11 @@ class Pupil:
 
     @property
     def radius(self) -> float:
-        """Of the pupil, in samples."""
+        """Radius of the pupil, in samples."""
         return self.size * self.spacing_um / (2 * self.wavelength_um * self.f_number)
 
     def _amplitude(self, rim: Rim) -> Floats:
-        """(n, n) the aperture with a rim of its area, on this pupil's grid."""
+        """Return (n, n) the aperture with a rim of its area, on this pupil's grid."""
         if rim.is_round:
             return smooth_disc(self._offsets, self.radius)
         vertices = int(np.ceil(2 * np.pi * self.radius / APART))
@@ -95,10 +98,11 @@ class Pupil:
         )
 
     def _to_image(self, pupil: Field) -> Field:
-        """Transform onto the PSF's window, its centre in the middle; the scale is left to the normalisation.
+        """Transform onto the PSF's window, its centre in the middle; the caller normalises.
 
-        The first pass has only as many columns as the pupil. That the pupil begins at [0, 0] turns the phase of all
-        fields alike, of which only products of one with another's conjugate are used.
+        The first pass has only as many columns as the pupil. Because the pupil begins at
+        [0, 0], the phases of all fields turn alike; only products of a field with another's
+        conjugate are used.
         """
         columns = scipy.fft.fft(pupil * self._tilt.astype(pupil.dtype), self.size, axis=0)
         return np.asarray(scipy.fft.fft(columns, self.size, axis=1))
@@ -107,7 +111,7 @@ class Pupil:
         return np.asarray(self.amplitude * self._turn(waves))
 
     def _turn(self, waves: Floats) -> Complexes:
-        """(n, n) the wavefront's phase factor."""
+        """Return (n, n) the wavefront's phase factor."""
         waves = real_array(
             "waves", waves, (len(self.noll),), "waves RMS, one for each mode"
         )
@@ -122,18 +126,20 @@ class Pupil:
 
     @property
     def _light(self) -> float:
-        """What |field|^2 sums to when all light is counted: the pupil's area, as Parseval has it.
+        """Sum of |field|^2 with all light counted: the pupil's area, by Parseval.
 
-        The sum of the squared amplitudes is less by 1/(4 radius), as their edge is grey: with it as the norm every frequency
-        but zero would come out too large by as much. A little more, 1/(3 radius), put 0.003 waves into a defocus of 1.2.
+        The sum of the squared amplitudes is less by 1/(4 radius), because their edge is
+        grey. With this sum as the norm every frequency but zero would be too large by as
+        much. A little more, 1/(3 radius), put 0.003 waves into a defocus of 1.2.
         """
         return np.pi * self.radius**2 * self.size**2
 
     def psf(self, waves: Floats) -> Floats:
-        """(size, size) PSF, the share of all light on each sample, its centre at [size // 2, size // 2].
+        """Return the (size, size) PSF: the share of all light on each sample, centre at [size // 2, size // 2].
 
-        waves: (modes,) waves RMS at the reference wavelength. It sums to a little under one: the halo reaches beyond the
-        window. Thesis (2.13), (H.1)-(H.3), corrected: lambda_ref / lambda.
+        The PSF sums to a little under one, because the halo reaches beyond the window.
+        waves: (modes,) waves RMS at the reference wavelength. Thesis (2.13), (H.1)-(H.3),
+        corrected: lambda_ref / lambda.
         """
         return np.asarray(
             np.abs(self._to_image(self._pupil_function(waves))) ** 2 / self._light
@@ -142,7 +148,9 @@ class Pupil:
     def psf_jacobian(
         self, waves: Floats, only: slice = slice(None)
     ) -> tuple[Floats, Floats]:
-        """The PSF, and (modes, size, size) its derivatives by each mode, or only some, per wave RMS. Thesis (H.7), (H.11)."""
+        """Return the PSF, and (modes, size, size) its derivatives by all or some modes, per wave RMS. Thesis
+        (H.7), (H.11).
+        """
         pupil = self._pupil_function(waves)
         field = self._to_image(pupil)
         slopes = np.empty((len(self.modes[only]), self.size, self.size))
@@ -153,16 +161,18 @@ class Pupil:
         return np.asarray(np.abs(field) ** 2 / self._light), slopes
 
     def psf_slopes(self, waves: Floats, only: slice = slice(None)) -> Iterator[Floats32]:
-        """The derivatives of `psf_jacobian`, (size, size) each, in single precision: within 1e-6 of the largest."""
+        """Yield the derivatives of `psf_jacobian`, (size, size) each, in single precision: within 1e-6 of the
+        largest.
+        """
         pupil = self._pupil_function(waves).astype(np.complex64)
         turned = np.conj(self._to_image(pupil)).astype(np.complex64, copy=False)
         for product in self._products(pupil, turned, self.modes[only]):
             yield product.imag
 
     def _products(self, pupil: Field, turned: Field, modes: Floats) -> Iterator[Field]:
-        """Their imaginary parts are the PSF's derivatives by some modes; in the precision of what is given.
+        """Yield fields whose imaginary parts are the PSF's derivatives by some modes, in the input's precision.
 
-        turned: the pupil's field, conjugate; it is scaled here.
+        turned: the pupil's field, conjugate; it is scaled here
         """
         turned *= -4 * np.pi * self.reference_um / self.wavelength_um / self._light
         for mode in modes:
@@ -173,9 +183,9 @@ class Pupil:
     def psf_rim_slopes(
         self, waves: Floats, nearby: Sequence[tuple[Rim, Rim, float]]
     ) -> Iterator[Floats32]:
-        """The PSF's derivatives by numbers of the rim, (size, size) each, in single precision.
+        """Yield the PSF's derivatives by numbers of the rim, (size, size) each, in single precision.
 
-        nearby: for each number two rims next to this one, and how far apart they are in this number.
+        nearby: for each number two neighbouring rims, and their distance in this number
         """
         pupil = self.outlined
         turn = pupil._turn(waves).astype(np.complex64)
@@ -189,7 +199,7 @@ class Pupil:
 
     @property
     def outlined(self) -> "Pupil":
-        """The same pupil, its amplitude by `smooth_outline` even where it is a disc."""
+        """The same pupil with its amplitude by `smooth_outline`, even for a disc."""
         return replace(self, rim=DISC) if self.rim.is_round else self
 
     @property
@@ -202,10 +212,12 @@ class Pupil:
     def psf_at(
         self, waves: Floats, at_um: Floats, only: slice = slice(None)
     ) -> tuple[Floats, Floats]:
-        """The PSF at places (n,) along both axes, um from its centre, and (modes, n, n) its derivatives, or only some.
+        """Return the PSF at places (n,) along both axes, um from its centre, and (modes, n, n) its derivatives,
+        or some.
 
-        Scaled as `psf` is, but on any grid and without the fold at the window's borders; what `size` and `spacing_um` set is
-        the pupil's sampling alone. R. Soummer et al., Opt. Express 15, 15935 (2007).
+        The scale is as in `psf`, but the grid is free and nothing folds at the window's
+        borders; `size` and `spacing_um` only set the pupil's sampling. R. Soummer et al.,
+        Opt. Express 15, 15935 (2007).
         """
         turn = np.exp(
             -2j * np.pi / (self.size * self.spacing_um) * np.outer(at_um, self._offsets)
@@ -221,10 +233,12 @@ class Pupil:
         return np.asarray(np.abs(field) ** 2 / self._light), slopes
 
     def stretched(self, waves: Floats, stretch: float, slope: bool = False) -> Floats:
-        """The PSF on its own grid through a cone narrower by a factor, (size, size); or its slope by the factor's logarithm.
+        """Return the (size, size) PSF of a larger f-number on its own grid, or its slope by the factor's
+        logarithm.
 
-        The pupil's samples stay and the transform is stretched, so that it is smooth in the factor as no sampled pupil of
-        another size is: to 1e-15, where that is 5e-7. Other lights see it so, through phases of 1 / their wavelength.
+        The pupil's samples stay and the transform is stretched, so the result is smooth in
+        the factor to 1e-15; resampling the pupil would be smooth to 5e-7. Other wavelengths
+        follow in the same way, with phases of 1 / their wavelength.
         """
         places = (np.arange(self.size) - self.size // 2) / (self.size * stretch)
         phase = -2 * np.pi * np.outer(places, self._offsets)
@@ -240,6 +254,6 @@ class Pupil:
 
 
 def diffraction_mtf(frequency: Floats) -> Floats:
-    """MTF of a perfect circular pupil at frequencies in units of the incoherent cutoff 1/(lambda N)."""
+    """Return the MTF of a perfect circular pupil at frequencies in units of the incoherent cutoff 1/(lambda N)."""
     nu = np.minimum(np.abs(real_array("frequency", frequency, None, "1/(lambda N)")), 1.0)
     return np.asarray(2 / np.pi * (np.arccos(nu) - nu * np.sqrt(1 - nu**2)))

@@ -1,4 +1,4 @@
-"""The aperture on a grid: its edge is smooth, so that its transform hardly depends on where the samples lie."""
+"""Draw the aperture on a grid with a smooth edge, so that its transform hardly depends on the samples' place."""
 
 from collections.abc import Sequence
 
@@ -18,14 +18,16 @@ APART = 0.5  # samples between the ends of an outline's arcs
 
 
 def smooth_disc(offsets: Floats, radius: float) -> Floats:
-    """A disc smoothed by the kernel of central Lagrange interpolation over six samples.
+    """Return a disc smoothed by the kernel of central Lagrange interpolation over six samples.
 
-    A transform of samples repeats with their frequency. The error of a field by its copies and by the smooth edge grows
-    with the sixth power of the distance from the centre; for a disc shaded by area, with the first and second power.
+    A transform of samples repeats with their frequency. The error of a field by its copies
+    and by the smooth edge grows with the sixth power of the distance from the centre; for a
+    disc shaded by area, with the first and second power.
 
     Parameters
     ----------
-    offsets : (n,), coordinates of the samples along either axis from the disc's centre, samples
+    offsets : (n,), coordinates of the samples along either axis from the disc's centre,
+        samples
     radius : samples, 2 or more
 
     Returns
@@ -64,21 +66,21 @@ def smooth_disc(offsets: Floats, radius: float) -> Floats:
 
 
 def _kernel(piece: int) -> Polynomial:
-    """The kernel from a whole number to the next: 1 at 0, and 0 at the other samples that take part there."""
+    """Return the kernel between two whole numbers: 1 at 0, and 0 at the other samples."""
     others = [node for node in range(piece - REACH + 1, piece + REACH + 1) if node]
     product = Polynomial.fromroots(others)
     return product / product(0.0)
 
 
 def _gauss(piece: int) -> tuple[Floats, Floats]:
-    """Nodes and weights of an integral times the kernel, over one of its pieces."""
+    """Return nodes and weights of an integral times the kernel, over one of its pieces."""
     at, weight = np.polynomial.legendre.leggauss(REACH + 2)
     at = piece + (1 + at) / 2
     return at, weight / 2 * _kernel(piece)(at)
 
 
 def _primitive(t: Floats) -> Floats:
-    """The kernel's integral from 0 to t, 1/2 from its reach on."""
+    """Return the kernel's integral from 0 to t, which is 1/2 beyond its reach."""
     s, total = np.minimum(np.abs(t), REACH), np.zeros_like(t)
     for piece in range(REACH):
         total += _kernel(piece).integ(lbnd=piece)(np.clip(s, piece, piece + 1))
@@ -86,15 +88,18 @@ def _primitive(t: Floats) -> Floats:
 
 
 def smooth_outline(offsets: Floats, edges: Sequence[Floats]) -> Floats:
-    """A region of any outline, smoothed by a kernel of splines.
+    """Return a region of any outline, smoothed by a kernel of splines.
 
-    The kernel is the B-spline of degree 5 with its lowest frequencies mended: the error of a field grows with the sixth
-    power of the distance from the centre, as `smooth_disc`'s does. By Green's theorem a sample is a sum over the edges.
+    The kernel is the B-spline of degree 5 with corrected lowest frequencies: the error of a
+    field grows with the sixth power of the distance from the centre, as in `smooth_disc`.
+    By Green's theorem a sample is a sum over the edges.
 
     Parameters
     ----------
-    offsets : (n,), coordinates of the samples along either axis, samples, 1 apart; they reach 6 samples beyond the region
-    edges : closed chains of arcs as of `labkit.optics.rim.Rim.edges`, samples, an arc APART or less
+    offsets : (n,), coordinates of the samples along either axis, samples, 1 apart; they
+        reach 6 samples beyond the region
+    edges : closed chains of arcs as of `labkit.optics.rim.Rim.edges`, samples, an arc APART
+        or less
 
     Returns
     -------
@@ -130,7 +135,7 @@ def smooth_outline(offsets: Floats, edges: Sequence[Floats]) -> Floats:
 
 
 def _spline(t: Floats, degree: int) -> Floats:
-    """(degree + 1, points) the B-splines of whole knots at t past a knot, from the one that ends soonest on."""
+    """Return (degree + 1, points) B-splines of whole knots at t past a knot, in the order of their ends."""
     values = np.ones((1, t.size))
     for d in range(1, degree + 1):
         wider = np.zeros((d + 1, t.size))

@@ -1,7 +1,8 @@
-"""The rim of a pupil that is no round clear disc: blades, unevenness, a cat's eye, and an obstructed centre.
+"""The rim of a pupil that is no round clear disc: blades, unevenness, a cat's eye, an obstructed centre.
 
-Lengths are in units of the radius of the circle of equal clear area, angles in radians from x (right) towards y (down), as
-the pupil's are in `labkit.optics.psf`. The f-number is that of this circle: ISO 517 defines an f-number by area.
+Lengths are in units of the radius of the circle of equal clear area, angles in radians from
+x (right) towards y (down), as in `labkit.optics.psf`. The f-number is that of this circle:
+ISO 517 defines an f-number by area.
 """
 
 from __future__ import annotations
@@ -22,10 +23,10 @@ HALVINGS = 45  # of an interval of angles, to an intersection
 
 
 class Cut(Protocol):
-    """An edge that limits the pupil; it stands once around the pupil's centre."""
+    """An edge that limits the pupil and surrounds its centre once."""
 
     def radius(self, theta: Floats) -> Floats:
-        """Distance of the edge from the centre, relative to the full pupil's radius."""
+        """Return the distance of the edge from the centre, relative to the full pupil's radius."""
         ...
 
     @property
@@ -63,10 +64,10 @@ class Diaphragm:
         return replace(self, turn=self.turn + angle)
 
     def radius(self, theta: Floats) -> Floats:
-        """Distance of the blades from the centre.
+        """Return the distance of the blades from the centre.
 
-        Points p of an arc have c + b x + r |p|^2 / 2 = 0, x along the blade's direction and r the curvature; b and c follow
-        from the corners and from the radius of 1 / r.
+        Points p of an arc have c + b x + r |p|^2 / 2 = 0, x along the blade's direction and
+        r the curvature; b and c follow from the corners and from the radius of 1 / r.
         """
         half = np.pi / self.blades
         along = np.cos((theta - self.turn + half) % (2 * half) - half)
@@ -78,7 +79,7 @@ class Diaphragm:
 
 @dataclass(frozen=True)
 class Circle:
-    """A circle that may stand off the pupil's centre, such as the edge of a lens element seen obliquely.
+    """A circle, possibly off the pupil's centre, such as the edge of a lens element seen obliquely.
 
     Attributes
     ----------
@@ -101,7 +102,7 @@ class Circle:
         return replace(self, direction=self.direction + angle)
 
     def radius(self, theta: Floats) -> Floats:
-        """Distance of the circle from the pupil's centre."""
+        """Return the distance of the circle from the pupil's centre."""
         away = theta - self.direction
         across = self.shift * np.sin(away)
         return np.asarray(self.shift * np.cos(away) + np.sqrt(self.size**2 - across**2))
@@ -113,10 +114,12 @@ class Rim:
 
     Attributes
     ----------
-    cuts : edges that limit the pupil, the innermost at every angle; none for the full circle
-    uneven : (4,) the outline's relative departures along cos 2t, sin 2t, cos 3t and sin 3t; first harmonics shift the pupil
-        as a whole, which no picture shows
-    obstructed : share of the outline's area that is obstructed; below 0, on the way to an estimate, the centre is brighter
+    cuts : edges that limit the pupil, the innermost at every angle; none for the full
+        circle
+    uneven : (4,) the outline's relative departures along cos 2t, sin 2t, cos 3t and sin 3t;
+        first harmonics shift the pupil as a whole, which no image shows
+    obstructed : obstructed share of the outline's area; a negative share, in the course of
+        an estimate, brightens the centre
     """
 
     cuts: tuple[Cut, ...] = ()
@@ -142,7 +145,7 @@ class Rim:
         return replace(self, cuts=cuts, uneven=tuple(uneven))
 
     def outline(self, theta: Floats) -> Floats:
-        """Distance of the outline from the centre at angles of any shape."""
+        """Return the distance of the outline from the centre at angles of any shape."""
         return np.asarray(self._scale * self._radius(theta))
 
     @property
@@ -158,11 +161,11 @@ class Rim:
         return np.asarray((rho >= self.inner) & (rho <= self.outline(np.arctan2(y, x))))
 
     def quadrature(self, radial: int, angular: int) -> tuple[Floats, Floats, Floats]:
-        """Points x, y (points,) in the clear part and their weights, with sum 1.
+        """Return points x, y (points,) in the clear part and their weights, with sum 1.
 
         Parameters
         ----------
-        radial, angular : Gauss's nodes along a radius, and around the rim at least
+        radial, angular : Gauss's nodes along a radius, and the least number around the rim
         """
         ends = np.unique([*np.linspace(0, FULL_TURN, 8), *(self._kinks() % FULL_TURN)])
         node, weight = np.polynomial.legendre.leggauss(4 + angular // (len(ends) - 1))
@@ -177,11 +180,12 @@ class Rim:
         return x, y, weights / weights.sum()
 
     def edges(self, arcs: int) -> list[Floats]:
-        """Closed chains of parabolic arcs about a clear area of exactly pi; the obstruction's runs the other way round.
+        """Return closed chains of parabolic arcs about a clear area of exactly pi; the obstruction's chain runs
+        backwards.
 
         Parameters
         ----------
-        arcs : number around the outline; its corners lie between arcs and add to them
+        arcs : number around the outline; corners between arcs add to them
 
         Returns
         -------
@@ -268,7 +272,8 @@ class Rim:
 
     @property
     def halo(self) -> float:
-        """Length of all edges over that of the circle of equal area, which is the share of light in the diffraction halo.
+        """Length of all edges over the circumference of the circle of equal area: the light in the diffraction
+        halo.
 
         P. J. Clark, J. W. Howard and E. R. Freniere, Appl. Opt. 23, 353 (1984).
         """
@@ -276,7 +281,9 @@ class Rim:
 
     @property
     def outer(self) -> float:
-        """Radius of the full pupil: a diaphragm's corners, a mirror's edge, or what a cat's eye cuts."""
+        """Radius of the full pupil: of a diaphragm's corners, a mirror's edge, or the edge that a cat's eye
+        cuts.
+        """
         return 1.0 if self.is_round else self._scale
 
 

@@ -1,8 +1,9 @@
-"""Transfer of modulation through a pupil that is no clear disc, by the line spread of its samples.
+"""Transfer function of a pupil that is no clear disc, by the line spread of its samples.
 
-Light summed across a direction is, by Parseval's theorem, the sum over rows of the pupil of squared one-dimensional
-transforms. The transform of this line spread along the direction is the transfer function. The halo beyond its window is that
-of the disc with the same halo, whose transfer function is a closed form.
+By Parseval's theorem, the light summed across a direction is the sum over rows of the pupil
+of squared one-dimensional transforms. The transform of this line spread along the direction
+is the transfer function. The halo beyond its window equals that of a disc with the same
+halo, whose transfer function is a closed form.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ RADIUS = 100.0
 def rim_transfer(
     wavefront: FittedWavefront, frequency_per_mm: Floats, azimuth_deg: float
 ) -> tuple[Complexes, Complexes]:
-    """Transfer function through a pupil of any rim, as of `labkit.optics.mtf.transfer_function`.
+    """Return the transfer function of a pupil of any rim, as `labkit.optics.mtf.transfer_function`.
 
     Parameters
     ----------
@@ -53,7 +54,7 @@ def rim_transfer(
 
 
 def _line_spread(wavefront: FittedWavefront, azimuth: float) -> tuple[Floats, Floats]:
-    """Return shares of light (n,) at places along an azimuth, and derivatives (modes, n), in one light."""
+    """Return shares of light (n,) at places along an azimuth, and derivatives (modes, n), at one wavelength."""
     rim = wavefront.rim.turned(-azimuth)
     offsets, clear = _amplitude(rim, RADIUS, RADIUS * rim.longest)
     x, y = np.meshgrid(offsets / RADIUS, offsets / RADIUS)
@@ -95,5 +96,5 @@ def _size(width: int) -> int:
 
 
 def _transformed(pupil: Floats | Complexes, size: int) -> Complexes:
-    """Return the transform of each row, frequency 0 in the middle. A phase that all rows share is left out."""
+    """Return the transform of each row, frequency 0 in the middle, without a phase common to all rows."""
     return np.asarray(scipy.fft.fftshift(scipy.fft.fft(pupil, size, axis=1), axes=1))

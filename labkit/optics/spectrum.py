@@ -23,9 +23,10 @@ WIDEST = 0.08
 
 @dataclass(frozen=True)
 class Spectrum:
-    """Relative wavelengths (n,), 1 the channel's nominal one, and their shares (n,) of the light, which sum to 1.
+    """Relative wavelengths (n,), 1 the channel's nominal wavelength, and their shares (n,) of the light, of sum
+    1.
 
-    Shares below 0 sharpen; only estimates on their way have such.
+    Shares below 0 sharpen; they occur only in the course of an estimate.
     """
 
     nodes: tuple[float, ...] = (1.0,)
@@ -35,9 +36,10 @@ class Spectrum:
     def of_samples(
         cls, wavelengths_nm: Sequence[float], weights: Sequence[float], nominal_nm: float
     ) -> Spectrum:
-        """Of samples, by as few nodes as have their moments: G. Golub and J. Welsch, Math. Comp. 23, 221 (1969).
+        """Return the spectrum of samples, by the fewest nodes with their moments.
 
-        Raises ValueError for weights below 0, or none above.
+        G. Golub and J. Welsch, Math. Comp. 23, 221 (1969). Raises ValueError for weights
+        below 0, or none above.
         """
         at, shares = (
             np.asarray(wavelengths_nm, float) / nominal_nm,
@@ -53,7 +55,7 @@ class Spectrum:
 
     @classmethod
     def of_lines(cls, lines: Sequence[Sequence[float]], nominal_nm: float) -> Spectrum:
-        """Of wavelengths, nm, and their shares, each as it is."""
+        """Return the spectrum of wavelengths, nm, and their shares, each as given."""
         nodes, weights = zip(
             *((float(nm) / nominal_nm, float(share)) for nm, share in lines), strict=True
         )
@@ -61,9 +63,11 @@ class Spectrum:
 
     @classmethod
     def of_width(cls, variance: float) -> Spectrum:
-        """Symmetric about the nominal wavelength. variance: relative to its square; WIDEST^2 either way stands for more.
+        """Return a spectrum symmetric about the nominal wavelength.
 
-        Below 0 the light sharpens as much as light of the positive variance blurs.
+        variance: relative to the square of the wavelength; values beyond WIDEST^2 count as
+        WIDEST^2. A negative variance sharpens as much as light of the positive variance
+        blurs.
         """
         variance = min(max(variance, -(WIDEST**2)), WIDEST**2)
         offset = float(np.sqrt(KURTOSIS * abs(variance)))
@@ -79,16 +83,18 @@ class Spectrum:
 
     @property
     def physical(self) -> Spectrum:
-        """Light that exists: of one wavelength where this would sharpen."""
+        """Light that exists: a single wavelength for a spectrum that would sharpen."""
         return self if min(self.weights) >= 0 else Spectrum()
 
     def lines(self, nominal_nm: float) -> list[list[float]]:
-        """[nm, share] of each wavelength."""
+        """Return [nm, share] of each wavelength."""
         return [[node * nominal_nm, share] for share, node in self.shares]
 
 
 def _gauss(at: Floats, shares: Floats, count: int) -> tuple[Floats, Floats]:
-    """Nodes and weights (count,) with the first moments of a discrete distribution, by Lanczos' recurrence."""
+    """Return nodes and weights (count,) with the first moments of a discrete distribution, by Lanczos'
+    recurrence.
+    """
     diagonal, beside = np.zeros(count), np.zeros(count)
     before, here = np.zeros_like(shares), np.sqrt(shares)
     for k in range(count):

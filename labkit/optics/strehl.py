@@ -19,9 +19,11 @@ STEPS = 30
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Peak:
-    """A maximum of a PSF: its height over a perfect lens's, and the tilts (2,), waves RMS, that bring it to the centre.
+    """A maximum of a PSF: its height over a perfect lens's, and the tilts (2,), waves RMS, that centre the
+    maximum.
 
-    slope: (modes,) of the height by the coefficients; hessian: (modes, modes), the maximum's place following them.
+    slope: (modes,) of the height by the coefficients; hessian: (modes, modes), with the
+    maximum's place following.
     """
 
     value: float
@@ -32,15 +34,17 @@ class Peak:
 
 @in_any_light
 def strehl(wavefront: FittedWavefront) -> Uncertain:
-    """The PSF's maximum over that of the same pupil without aberration.
+    """Return the PSF's maximum over the maximum of the same pupil without aberration.
 
-    Maximum over all places of the image, wherever tip and tilt put it: they belong to the target's pose, and are left out if
-    given. In light of several wavelengths both maxima are of all of it. Born and Wolf, Principles of Optics, 7th ed., §9.1.3;
-    V. N. Mahajan, J. Opt. Soc. Am. 73, 860 (1983).
+    The maximum is over all places of the image, wherever tip and tilt move the light: both
+    belong to the target's pose and are ignored. In light of several wavelengths both maxima
+    are of all the light. Born and Wolf, Principles of Optics, 7th ed., §9.1.3; V. N.
+    Mahajan, J. Opt. Soc. Am. 73, 860 (1983).
 
-    The standard error is the root of the mean squared departure to second order, for normal errors C of the coefficients
-    with gradient g and Hessian H: g'Cg + tr(HCHC)/2 + tr(HC)^2/4. For a nearly perfect lens g vanishes and the rest remains;
-    its last term is the square of a bias, as errors of the modes only lower the ratio.
+    The standard error is the root of the mean squared departure to second order, for normal
+    errors C of the coefficients with gradient g and Hessian H: g'Cg + tr(HCHC)/2 +
+    tr(HC)^2/4. For a nearly perfect lens g vanishes and the rest remains; its last term is
+    the square of a bias, because errors of the modes only lower the ratio.
     """
     rest = wavefront.without(TILTS)
     if not rest.noll:
@@ -51,9 +55,10 @@ def strehl(wavefront: FittedWavefront) -> Uncertain:
 
 
 class Climber:
-    """Climbs to the maximum of the PSFs of a wavefront's modes, from tilts near it.
+    """Climbs to the maximum of the PSFs of a wavefront's modes, from nearby tilts.
 
-    wavefront: without tilts, as steep as any that is climbed on; most_tilt: waves RMS that the light is thrown to.
+    wavefront: without tilts, as steep as any wavefront to climb on; most_tilt: waves RMS,
+    largest tilt
     """
 
     def __init__(self, wavefront: FittedWavefront, most_tilt: float = 0.0) -> None:
@@ -71,7 +76,7 @@ class Climber:
         )
 
     def peak(self, waves: Floats, tilts: Floats) -> Peak:
-        """The maximum for coefficients (modes,), from tilts (2,), waves RMS."""
+        """Return the maximum for coefficients (modes,), from tilts (2,), waves RMS."""
         free = len(TILTS)
         at = np.concatenate([tilts, waves])
         curvature = 2 * sum(share * factor**2 for share, factor in self._lights)
@@ -93,7 +98,7 @@ class Climber:
     def _height(
         self, waves: Floats, modes: Floats, path: Floats | float = 0.0
     ) -> tuple[float, Floats, Floats]:
-        """Of the PSF at its centre over a perfect one's, as of `_peak`, in all lights."""
+        """Return the PSF at its centre over a perfect lens's, as of `_peak`, over all wavelengths."""
         value, slope, bend = 0.0, np.zeros(len(waves)), np.zeros((len(waves), len(waves)))
         for share, factor in self._lights:
             of_light = _peak(waves, self._weights, modes, factor, path)
@@ -104,7 +109,7 @@ class Climber:
 
 
 def mean_square(wavefront: FittedWavefront, peak: Peak) -> float:
-    """Of the departure of a peak's height, as `strehl` has it."""
+    """Return the mean squared departure of a peak's height, as `strehl` defines it."""
     first = float(wavefront.variance(peak.slope))
     if not np.isfinite(wavefront.covariance).all():
         return first
@@ -117,7 +122,10 @@ def mean_square(wavefront: FittedWavefront, peak: Peak) -> float:
 def _peak(
     waves: Floats, weights: Floats, modes: Floats, factor: float, path: Floats | float = 0.0
 ) -> tuple[float, Floats, Floats]:
-    """|mean of exp(i phase)|^2 with its gradient (modes,) and Hessian (modes, modes) by the waves; path: of other modes."""
+    """Return |mean of exp(i phase)|^2 with its gradient (modes,) and Hessian (modes, modes) by the waves.
+
+    path: of other modes
+    """
     field: Complexes = weights * np.exp(1j * factor * (waves @ modes + path))
     total, by_mode = field.sum(), 1j * factor * (modes @ field)
     by_two = -(factor**2) * ((modes * field) @ modes.T)
@@ -127,7 +135,9 @@ def _peak(
 
 
 def _over_pupil(noll: tuple[int, ...], steep: float, rim: Rim) -> tuple[Floats, Floats]:
-    """(points,) weights, with sum 1, of a quadrature over the pupil that resolves a steepness; (modes, points) the modes."""
+    """Return (points,) weights of unit sum and (modes, points) modes, for a quadrature fine enough for a
+    steepness.
+    """
     if not rim.is_round:
         steep *= rim.longest
         x, y, weights = rim.quadrature(
@@ -148,9 +158,10 @@ def _over_pupil(noll: tuple[int, ...], steep: float, rim: Rim) -> tuple[Floats, 
 
 
 def brightest_tilts(wavefront: FittedWavefront) -> Floats:
-    """The tilts, waves RMS of Noll 2 and 3, that bring the brightest of samples an eighth of lambda N apart to the centre.
+    """Return the tilts, waves RMS of Noll 2 and 3, that centre the brightest of samples lambda N / 8 apart.
 
-    The true peak of each is at most 2 % higher: of two peaks as equal as that, the lower may be taken.
+    The true peak of each is at most 2 % higher: of two peaks closer than this, the lower
+    may be chosen.
     """
     w, airy_um = wavefront, 1e3 / wavefront.cutoff_per_mm
     size = 128 + 16 * int(

@@ -1,7 +1,8 @@
-"""What a lens does on either side of its best focus: Strehl ratio and MTF against defocus, and the depth of focus.
+"""Strehl ratio and MTF against defocus, and the depth of focus.
 
-The modes but for defocus stay as they are: over the depth of focus a lens's other aberrations hardly change. Defocus is in
-waves RMS of Noll 4 at the reference wavelength; `sensor_shift_um` is how far the sensor would have to move for as much.
+All modes but defocus stay as they are: over the depth of focus a lens's other aberrations
+hardly change. Defocus is in waves RMS of Noll 4 at the reference wavelength;
+`sensor_shift_um` converts to a movement of the sensor.
 """
 
 from __future__ import annotations
@@ -41,9 +42,10 @@ class ThroughFocus:
 
 @dataclass(frozen=True, slots=True)
 class FocusDepth:
-    """Between which defocus the Strehl ratio is 0.8 of its highest, and where it is highest; waves RMS.
+    """Defocus of the highest Strehl ratio, and the limits within which the ratio is 0.8 of the highest; waves
+    RMS.
 
-    span: far less near, whose errors belong together.
+    span: far less near limit, whose errors are correlated
     """
 
     near: Uncertain
@@ -54,10 +56,10 @@ class FocusDepth:
 
 @in_any_light
 def strehl_through_focus(wavefront: FittedWavefront, defocus_waves: Floats) -> ThroughFocus:
-    """Strehl ratio of a wavefront's modes but for its defocus, with others in its place, (n,) ascending, 0 among them.
+    """Return the Strehl ratio of a wavefront with its defocus replaced by others, (n,) ascending, 0 among them.
 
-    The maximum is followed from that at best focus on. Where aberrations may split the image, it is sought anew at each
-    defocus: which one is the highest may change.
+    The maximum is followed from best focus on. If aberrations may split the image, the
+    maximum is searched anew at each defocus, because the highest may change.
     """
     defocus, rest = _grid(defocus_waves), wavefront.without((2, 3, DEFOCUS))
     centre, rms = int(np.argmin(np.abs(defocus))), float(np.linalg.norm(rest.waves))
@@ -91,7 +93,9 @@ def mtf_through_focus(
     direction: Direction | float,
     defocus_waves: Floats,
 ) -> ThroughFocus:
-    """MTF of the optics alone at one frequency along a direction, of modes and defocus as in `strehl_through_focus`."""
+    """Return the MTF of the optics alone at one frequency along a direction, for modes and defocus as in
+    `strehl_through_focus`.
+    """
     defocus, rest = _grid(defocus_waves), wavefront.without((2, 3, DEFOCUS))
     if not rest.rim.is_round:
         at, along = np.array([frequency_per_mm]), azimuth_deg(direction)
@@ -126,7 +130,7 @@ def mtf_through_focus(
 def _modulus(
     rest: FittedWavefront, defocus: Floats, transfer: Complexes, by_mode: Complexes
 ) -> ThroughFocus:
-    """The modulus of a transfer function (n,), with its derivatives (modes, n)."""
+    """Return the modulus of a transfer function (n,), with its derivatives (modes, n)."""
     value = np.abs(transfer)
     unit = np.divide(np.conj(transfer), value, out=np.ones_like(transfer), where=value > 0)
     slopes = (by_mode * unit).real
@@ -134,7 +138,7 @@ def _modulus(
 
 
 def depth_of_focus(wavefront: FittedWavefront, curve: ThroughFocus) -> FocusDepth | None:
-    """The depth that a curve of Strehl ratios of a wavefront shows; None where it leaves it at an end of the curve."""
+    """Return the depth of focus of a curve of Strehl ratios; None if the curve ends within the depth."""
     depth, broad = _depth(wavefront, curve), wavefront.in_broadest_light
     if depth is None or broad is None:
         return depth
@@ -177,7 +181,7 @@ def _depth(wavefront: FittedWavefront, curve: ThroughFocus) -> FocusDepth | None
 
 
 def sensor_shift_um(wavefront: FittedWavefront, defocus_waves: float) -> float:
-    """How far the sensor is from focus, um, for a defocus: 8 N^2 times its peak to valley."""
+    """Return the distance of the sensor from focus, um, for a defocus: 8 N^2 times its peak to valley."""
     per_wave = blur_per_wave_um(wavefront.f_number, wavefront.reference_um)
     return wavefront.f_number * per_wave * defocus_waves
 
@@ -187,7 +191,7 @@ def _grid(defocus_waves: Floats) -> Floats:
 
 
 def _with_defocus(rest: FittedWavefront, waves: float) -> FittedWavefront:
-    """With a defocus that is known, last of its modes."""
+    """Return a wavefront with a known defocus as its last mode."""
     count = len(rest.noll)
     known = rest.mapped((*rest.noll, DEFOCUS), np.eye(count + 1, count))
     known.waves[-1] = waves
@@ -197,9 +201,10 @@ def _with_defocus(rest: FittedWavefront, waves: float) -> FittedWavefront:
 def _overlap(
     wavefront: FittedWavefront, apart: float, azimuth: float
 ) -> tuple[Floats, Floats]:
-    """(points,) weights over the overlap of two pupils so far apart along an azimuth, and (modes, points) their differences.
+    """Return (points,) weights over the overlap of two pupils, and (modes, points) the modes' differences.
 
-    The nodes are those of `labkit.optics.mtf`.
+    apart, azimuth: distance and direction of the pupils. The nodes are those of
+    `labkit.optics.mtf`.
     """
     node, weight = np.polynomial.legendre.leggauss(nodes_for(wavefront))
     top = np.arccos(apart / 2)

@@ -1,7 +1,8 @@
-"""Errors of what is computed from a wavefront whose light has an unknown spectral width.
+"""Errors of numbers computed from a wavefront whose light has an unknown spectral width.
 
-Photographs hardly determine the width, but images of points depend on it: in light of the largest width that the photographs
-allow a Strehl ratio is lower by several of its standard errors. That change counts as a known bias that is not corrected.
+Photographs hardly determine the width, but images of points depend on it: in light of the
+largest width that the photographs allow a Strehl ratio is lower by several of its standard
+errors. This change counts as a known bias that is not corrected.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ N = TypeVar("N", bound=Estimated)
 
 
 def in_any_light(measure: Measure) -> Measure:
-    """Include, in the standard errors of a number, its change in the broadest light that the photographs allow."""
+    """Include, in a number's standard errors, its change in the broadest light that the photographs allow."""
 
     @wraps(measure)
     def measured(wavefront: FittedWavefront, *args: Any, **kwargs: Any) -> Any:

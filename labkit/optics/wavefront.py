@@ -1,4 +1,4 @@
-"""A fitted wavefront: its modes, their covariance, and the beam that they belong to."""
+"""A fitted wavefront: its modes, their covariance, and their beam."""
 
 from __future__ import annotations
 
@@ -21,16 +21,30 @@ FARTHEST_WAVES = 12.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedWavefront:
-    """A wavefront, its errors, and the light it was measured in.
+    """A wavefront with its errors and its light.
 
-    noll: the modes. waves: (modes,) path difference, waves RMS at the reference wavelength. covariance: (modes, modes) of
-    waves; nan where it is not known, infinite on the diagonal for a mode that the data leave open. f_number: of the beam that
-    reaches the sensor; f_number_std: its standard error, which enters what is measured in lengths as if it were independent of
-    the modes'. rim: of the pupil; the f-number is that of the circle of its clear area, over which the modes are Noll's.
-    spectrum: of the light, about wavelength_um; its path differences are one, in length. widest_nm: if the spectrum
-    is not known, the largest standard deviation of the light that the photographs allow; 0 if it is known. Pupil coordinates
-    as in `labkit.optics.psf`: x to the right along the sensor's rows, y down.
-    Raises ValueError for modes that repeat or are none, and for arrays of other shapes.
+    Pupil coordinates as in `labkit.optics.psf`: x to the right along the sensor's rows, y
+    down.
+
+    Parameters
+    ----------
+    noll : the modes
+    waves : (modes,) path difference, waves RMS at the reference wavelength
+    covariance : (modes, modes) of waves; nan if unknown, infinite on the diagonal for a
+        mode that the data leave open
+    f_number : working f-number
+    f_number_std : its standard error, which enters lengths as if independent of the modes'
+    rim : of the pupil; the f-number is that of the circle of its clear area, over which the
+        modes are Noll's
+    spectrum : of the light, about wavelength_um; all wavelengths have the same path
+        difference, in length
+    widest_nm : for an unknown spectrum, the largest standard deviation of the light that
+        the photographs allow; 0 if known
+
+    Raises
+    ------
+    ValueError
+        for repeated or impossible modes, and for arrays of other shapes
     """
 
     noll: tuple[int, ...]
@@ -76,7 +90,7 @@ class FittedWavefront:
 
     @property
     def cutoff_per_mm(self) -> float:
-        """The frequency on the sensor from which on no modulation passes, 1/(lambda N), in cycles/mm; of the shortest light.
+        """Cutoff frequency on the sensor, 1/(lambda N), in cycles/mm, of the shortest wavelength.
 
         A pupil that is no disc passes more along its largest width.
         """
@@ -85,7 +99,7 @@ class FittedWavefront:
 
     @property
     def lights(self) -> list[tuple[float, FittedWavefront]]:
-        """Shares of the light, and the wavefront in one wavelength each: their PSFs add up."""
+        """Shares of the light, each with the wavefront at one wavelength: their PSFs add up."""
         if self.spectrum == Spectrum():
             return [(1.0, self)]
         return [
@@ -97,13 +111,16 @@ class FittedWavefront:
         ]
 
     def in_light(self, std_nm: float) -> FittedWavefront:
-        """The same in light of a standard deviation about its wavelength; at most `labkit.optics.spectrum.WIDEST` of it."""
+        """Return the wavefront in light of a standard deviation about its wavelength.
+
+        The deviation is limited to `labkit.optics.spectrum.WIDEST` of the wavelength.
+        """
         spectrum = Spectrum.of_width((std_nm / (1e3 * self.wavelength_um)) ** 2)
         return replace(self, spectrum=spectrum, widest_nm=0.0)
 
     @property
     def in_broadest_light(self) -> FittedWavefront | None:
-        """The same in the broadest light that the photographs allow; None if the light is known."""
+        """The wavefront in the broadest light that the photographs allow; None if the light is known."""
         return self.in_light(self.widest_nm) if self.widest_nm > 0 else None
 
     @property
@@ -117,7 +134,7 @@ class FittedWavefront:
         return self.f_number_std / self.f_number
 
     def index(self, j: int) -> int:
-        """Where Noll mode j stands in `noll`. Raises ValueError if it is not among them."""
+        """Return the index of Noll mode j in `noll`. Raises ValueError for a missing mode."""
         if j not in self.noll:
             raise ValueError(
                 f"Noll mode {j} is not among the fitted: {', '.join(map(str, self.noll))}"
@@ -125,7 +142,7 @@ class FittedWavefront:
         return self.noll.index(j)
 
     def without(self, modes: Collection[int]) -> FittedWavefront:
-        """The same wavefront with some Noll modes left out, they and their covariances; those it has not are no error."""
+        """Return the wavefront without some Noll modes and their covariances; missing modes are no error."""
         kept = [k for k, j in enumerate(self.noll) if j not in modes]
         noll = tuple(self.noll[k] for k in kept)
         return replace(
@@ -136,7 +153,7 @@ class FittedWavefront:
         )
 
     def mapped(self, noll: tuple[int, ...], matrix: Floats) -> FittedWavefront:
-        """The wavefront of modes `noll` whose coefficients are a matrix (len(noll), modes) times these."""
+        """Return the wavefront of modes `noll` whose coefficients are a matrix (len(noll), modes) times these."""
         return replace(
             self,
             noll=noll,
@@ -145,11 +162,16 @@ class FittedWavefront:
         )
 
     def opd(self, x: Floats, y: Floats) -> Floats:
-        """Path difference at points of the pupil, waves at the reference; x, y: of one shape, the pupil's radius is 1."""
+        """Return the path difference at points of the pupil, waves at the reference wavelength.
+
+        x, y: of one shape, the pupil's radius is 1
+        """
         return np.asarray(np.tensordot(self.waves, modes_at(self.noll, x, y), 1))
 
     def variance(self, gradient: Floats) -> Floats:
-        """(...) variance of numbers with gradients (modes, ...) by the coefficients, by the delta method."""
+        """Return the (...) variance of numbers with gradients (modes, ...) by the coefficients, by the delta
+        method.
+        """
         known = np.isfinite(np.diag(self.covariance))
         part = np.tensordot(self.covariance[np.ix_(known, known)], gradient[known], 1)
         variance = np.sum(gradient[known] * part, axis=0).clip(0)
@@ -161,16 +183,17 @@ class FittedWavefront:
 
 
 def at_focus(wavefront: FittedWavefront) -> FittedWavefront:
-    """The wavefront as it would be at best focus: without Noll 4, and without its errors.
+    """Return the wavefront at best focus: without Noll 4, and without its errors.
 
-    Best focus is meant as the focus of zero Noll defocus, that of least RMS. To second order in the other modes it is that of
-    the highest Strehl ratio too; through strong higher orders the two differ.
+    Best focus is the focus of zero Noll defocus, that is of least RMS. To second order in
+    the other modes it also has the highest Strehl ratio; with strong higher orders the two
+    differ.
     """
     return wavefront.without((DEFOCUS,))
 
 
 def modes_at(noll: tuple[int, ...], x: Floats, y: Floats) -> Floats:
-    """(modes, ...) Zernike modes at points of the pupil, whose radius is 1."""
+    """Return (modes, ...) Zernike modes at points of the pupil, whose radius is 1."""
     rho, theta = np.hypot(x, y), np.arctan2(y, x)
     return (
         np.stack([zernike(j, rho, theta) for j in noll])

@@ -26,13 +26,13 @@ NAMES = {
 
 
 def mode_name(j: int) -> str:
-    """The usual name of a Noll mode; its number where it has none."""
+    """Return the usual name of a Noll mode, or its number."""
     return NAMES.get(j, f"mode {j}")
 
 
 @cache
 def noll_to_nm(j: int) -> tuple[int, int]:
-    """Radial order n and signed azimuthal order m of Noll mode j; m < 0 stands for the sine.
+    """Return radial order n and signed azimuthal order m of Noll mode j; m < 0 stands for the sine.
 
     Raises ValueError for j < 1.
     """
@@ -47,7 +47,10 @@ def noll_to_nm(j: int) -> tuple[int, int]:
 
 
 def nm_to_noll(n: int, m: int) -> int:
-    """The Noll mode of radial order n and signed azimuthal order m. Raises ValueError where there is none."""
+    """Return the Noll mode of radial order n and signed azimuthal order m.
+
+    Raises ValueError for an impossible pair.
+    """
     if abs(m) > n or (n - m) % 2:
         raise ValueError(
             f"no Zernike polynomial has radial order {n} and azimuthal order {m}"
@@ -62,12 +65,12 @@ def is_even(j: int) -> bool:
 
 
 def twin_signs(noll: Sequence[int]) -> Floats:
-    """(modes,) by which the twin's coefficients differ: -1 for even modes, +1 for odd ones."""
+    """Return (modes,) signs of the twin's coefficients: -1 for even modes, +1 for odd ones."""
     return np.array([-1.0 if is_even(j) else 1.0 for j in noll])
 
 
 def radial(n: int, m: int, rho: Floats) -> Floats:
-    """Radial polynomial R_n^m; thesis (2.40), corrected: (n-k)! in the numerator."""
+    """Return the radial polynomial R_n^m; thesis (2.40), corrected: (n-k)! in the numerator."""
     m = abs(m)
     total = np.zeros_like(rho)
     for k in range((n - m) // 2 + 1):
@@ -81,10 +84,11 @@ def radial(n: int, m: int, rho: Floats) -> Floats:
 
 
 def zernike(j: int, rho: Floats, theta: Floats) -> Floats:
-    """Noll mode j on the unit disc, unit RMS.
+    """Return Noll mode j on the unit disc, unit RMS.
 
     rho, theta: (...,) pupil polar coordinates, rho in 0..1. Returns (...,), unitless.
-    Raises ValueError for j < 1, and for coordinates of two shapes or not finite. Thesis (2.39)-(2.41), (2.40) corrected.
+    Raises ValueError for j < 1, and for coordinates of two shapes or not finite. Thesis
+    (2.39)-(2.41), (2.40) corrected.
     """
     n, m = noll_to_nm(j)
     rho = real_array("rho", rho, None, "pupil radii")
@@ -97,9 +101,11 @@ def zernike(j: int, rho: Floats, theta: Floats) -> Floats:
 
 @cache
 def cartesian(j: int) -> Floats:
-    """Noll mode j as a polynomial in x and y: (n + 1, n + 1), entry [p, q] the coefficient of x^p y^q; read only.
+    """Return Noll mode j as a polynomial in x and y: (n + 1, n + 1), entry [p, q] the coefficient of x^p y^q;
+    read only.
 
-    rho^m cos(m theta) and rho^m sin(m theta) are the real and the imaginary part of (x + iy)^m.
+    rho^m cos(m theta) and rho^m sin(m theta) are the real and the imaginary part of (x +
+    iy)^m.
     """
     n, signed = noll_to_nm(j)
     m, odd = abs(signed), int(signed < 0)

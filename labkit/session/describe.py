@@ -15,7 +15,7 @@ FEW = 6
 
 
 def in_words(frames: Sequence[Frame]) -> str:
-    """How many photographs of each kind, at which ranges."""
+    """Return the number of photographs of each kind, and their ranges."""
     counts = Counter(frame.kind for frame in frames)
     kinds = ", ".join(f"{counts[kind]} {kind}" for kind in FRAME_KINDS if counts[kind])
     ranges_mm = sorted({frame.range_mm for frame in frames if frame.range_mm is not None})
@@ -29,7 +29,7 @@ def in_words(frames: Sequence[Frame]) -> str:
 
 
 def as_html(folder: Path, frames: Sequence[Frame]) -> str:
-    """A table: a row a range, a column a kind."""
+    """Return a table of photographs: a row for each range, a column for each kind."""
     counts = Counter((frame.range_mm, frame.kind) for frame in frames)
     kinds = [kind for kind in FRAME_KINDS if any(frame.kind == kind for frame in frames)]
     heading = "".join(f"<th>{cell}</th>" for cell in ("range", *kinds))

@@ -1,4 +1,4 @@
-"""A plan made from a photograph: what its file states, and a line marked "fill in" for what it cannot."""
+"""Draft a plan from a photograph: values its file states, and lines marked "fill in" for all others."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ Row = tuple[str, str, str]
 
 @dataclass(frozen=True, slots=True)
 class Draft:
-    """A plan's text, and the keys that are to be filled in before it loads."""
+    """A plan's text, and the keys to fill in before the plan loads."""
 
     text: str
     fill_in: tuple[str, ...]
@@ -54,7 +54,7 @@ class _Photograph:
 
 
 def draft_plan(image: Path) -> Draft:
-    """A plan for photographs like this one. Raises RawError for a file that is no photograph that labkit reads."""
+    """Return a plan for photographs like this. Raises RawError for a file that is no readable photograph."""
     photograph, exif = _looked_at(image)
     blocks, fill_in = [[*_heading(image, exif, photograph), HOW_TO_FILL_IN]], []
     for name, rows in _tables(exif, photograph):
@@ -71,10 +71,11 @@ def draft_plan(image: Path) -> Draft:
 def draft_tables(
     image: Path | None, mono: bool = False
 ) -> tuple[list[str], list[tuple[str, list[Row]]]]:
-    """Lines of a heading, and the tables of a draft: (name with its brackets, rows), for photographs like this one.
+    """Return lines of a heading, and a draft's tables: (name with its brackets, rows).
 
-    image: None for photographs of a raw camera that nothing is known of, mono or with a colour filter array. A row is
-    (key, value as TOML, why), which begins with FILL_IN where the value is an example. Raises RawError as `draft_plan`.
+    image: an example of the photographs; None for a raw camera of unknown properties, mono
+    or with a colour filter array. A row is (key, value as TOML, reason); the reason begins
+    with FILL_IN for an example value. Raises RawError as `draft_plan`.
     """
     if image is None:
         photograph = _Photograph("raw", (0, 0), ("M",) if mono else ("R", "G", "B"))
@@ -104,7 +105,7 @@ def _looked_at(image: Path) -> tuple[_Photograph, Exif]:
 
 
 def write_draft(draft: Draft, path: Path) -> None:
-    """Write a draft as a new file. Raises InputError where there is one already, or where it cannot be written."""
+    """Write a draft as a new file. Raises InputError if the file exists or cannot be written."""
     write_new(path, draft.text)
 
 
@@ -122,7 +123,7 @@ def _look(image: Path) -> _Photograph:
 
 
 def _of_numbers(image: Path, container: Container) -> _Photograph:
-    """Of a file that may hold anything."""
+    """Return the properties of a file of bare numbers."""
     picture, _ = read_file(image, container)
     rows, cols = picture.numbers.shape[:2]
     if not is_processed(picture, container, ANY):
@@ -152,7 +153,7 @@ def _heading(image: Path, exif: Exif, photograph: _Photograph) -> Iterator[str]:
 
 
 def _lens(exif: Exif) -> Iterator[Row]:
-    """(key, value, why) of each line; so below."""
+    """Yield (key, value, reason) of each line."""
     focal, stop = exif.focal_length_mm, exif.f_number
     yield (
         ("focal_length_mm", f"{focal:g}", "by EXIF")
@@ -185,7 +186,7 @@ def _sensor(exif: Exif, photograph: _Photograph) -> Iterator[Row]:
 
 
 def _pitch(exif: Exif, photograph: _Photograph) -> tuple[float, str]:
-    """Micrometres between neighbouring pixels, and how that is known."""
+    """Return the pixel pitch in micrometres, and its source."""
     low, high = PITCHES_UM
     rows, cols = photograph.shape
     if exif.pixel_pitch_um is not None:

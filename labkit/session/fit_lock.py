@@ -1,4 +1,4 @@
-"""One fit at a time writes results of one name: the second is told which process is at work."""
+"""Lock a folder of results against a second fit; the second user learns which process is at work."""
 
 from __future__ import annotations
 
@@ -17,12 +17,14 @@ from labkit.files import writing
 
 @contextmanager
 def fitted_alone(results: Path) -> Iterator[None]:
-    """Hold a folder of results until the end of the block. The lock goes with the process, however it ends.
+    """Lock a folder of results until the end of the block, or of the process.
 
     Raises
     ------
-    SessionError : another process fits into this folder
-    InputError : the folder cannot be written to
+    SessionError
+        another process fits into this folder
+    InputError
+        the folder cannot be written to
     """
     path = results.with_name(f".{results.name}.fitting")
     with writing(results):
@@ -45,7 +47,7 @@ def fitted_alone(results: Path) -> Iterator[None]:
 
 
 def _locked(path: Path) -> int | None:
-    """Return a file that this process has locked; None where another process has."""
+    """Return a file locked by this process; None if another process has the lock."""
     while True:
         file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
         try:
@@ -62,7 +64,7 @@ def _locked(path: Path) -> int | None:
 
 
 def _ourselves() -> dict[str, object]:
-    """Return what another process is told of this one."""
+    """Return a description of this process for others."""
     return {
         "process": os.getpid(),
         "machine": socket.gethostname(),

@@ -1,4 +1,4 @@
-"""A photograph of a session, and what an event of the journal must hold for the session to be read."""
+"""A photograph of a session, and the events of the journal that a session requires."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FRAMES = "frames"
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """A photograph of the session. range_mm is None where it is unknown or has no meaning."""
+    """A photograph of the session. range_mm is None if unknown or without meaning."""
 
     file: str
     kind: FrameKind
@@ -34,7 +34,7 @@ class Frame:
 
 
 def frame_of(event: Event, folder: Path) -> Frame:
-    """The photograph of a "frame" event, which has passed `event_problem`, in a session's folder."""
+    """Return the photograph of a "frame" event, checked by `event_problem`, in a session's folder."""
     named = ("file", "kind", "range_mm", "sha256", "time")
     return Frame(
         **{key: event[key] for key in named},
@@ -47,7 +47,7 @@ def frame_of(event: Event, folder: Path) -> Frame:
 
 
 def event_problem(event: Event) -> str | None:
-    """What an event of the session lacks, or holds that cannot be; None if it can be used."""
+    """Describe missing or impossible values of an event; None if there are none."""
     name = event["event"]
     needed = NEEDED.get(name, ())
     if absent := [key for key in ("time", *needed) if key not in event]:
@@ -60,9 +60,9 @@ def event_problem(event: Event) -> str | None:
 
 
 def doubled(events: Sequence[Event], journal: Path) -> tuple[str, ...]:
-    """Lines that commit a photograph again, in words: it counts once. A journal of earlier labkits only can have them.
+    """Describe lines that commit a photograph again, which counts once; only old journals have such lines.
 
-    Raises SessionError where they say another thing of it than the first.
+    Raises SessionError if such a line contradicts the first.
     """
     first: dict[str, tuple[int, Event]] = {}
     again = []
@@ -81,10 +81,10 @@ def doubled(events: Sequence[Event], journal: Path) -> tuple[str, ...]:
 
 
 def distinct(frames: Sequence[Frame]) -> tuple[tuple[Frame, ...], tuple[Finding, ...]]:
-    """Each photograph once, whatever its files are called; and the files that are left out.
+    """Return each photograph once, whatever the names of its files, and the files left out.
 
-    Noise is never the same twice, so equal files are one photograph, and count as one in every error. Raises SessionError
-    for one that stands for two ranges, or for two kinds.
+    Noise never repeats, so equal files are one photograph and count once in every error.
+    Raises SessionError for a photograph with two ranges or two kinds.
     """
     first: dict[str, Frame] = {}
     again = []
@@ -107,7 +107,7 @@ def _said(frame: Frame) -> str:
 
 
 def pending(events: Sequence[Event]) -> Event | None:
-    """The "adding" event that nothing finished, if any: only the last one can be."""
+    """Return the unfinished "adding" event, if any: only the last can be unfinished."""
     last = None
     for event in events:
         if event["event"] == "adding":

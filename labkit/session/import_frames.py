@@ -1,4 +1,4 @@
-"""A session made of photographs taken elsewhere: a CSV says what each one is."""
+"""Make a session of photographs taken elsewhere, listed in a CSV."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ LONGEST_PATH = 1000
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One line of the CSV: a photograph, and the further columns as they were."""
+    """One line of the CSV: a photograph, and the further columns unchanged."""
 
     line: int
     file: str
@@ -56,7 +56,7 @@ QUOTED = re.compile(r"""'[^']*'|"[^"]*"|; write .*|of \d+ characters""")
 
 @dataclass(frozen=True, slots=True)
 class _Checked:
-    """What a photograph that can be used says; notes: how its numbers came about; altered: what a program has done to it."""
+    """Properties of a usable photograph; notes: on its numbers; altered: changes made by a program."""
 
     exposure_s: float | None
     iso: int | None
@@ -70,12 +70,26 @@ def import_frames(
     session_folder: Path | str,
     progress: Progress = no_progress,
 ) -> Session:
-    """Make a session of the photographs that `csv_path` lists. Everything is checked first; then it is made whole.
+    """Make a session of the photographs listed in `csv_path`; all are checked first.
 
-    plan: or its path. Returns the session, open to read; its `warnings` say where files contradict the plan, and what was
-    done to processed pictures.
-    Raises PlanError, TargetError, SessionError, or DataError with every problem of the CSV and its photographs in one
-    line; then nothing has been made.
+    Parameters
+    ----------
+    csv_path : columns file, kind, range_mm
+    plan : or its path
+    session_folder : to make
+    progress : called with each step
+
+    Returns
+    -------
+    The session, open to read; its `warnings` name contradictions between files and plan,
+    and changes to processed pictures
+
+    Raises
+    ------
+    DataError
+        every fault of the CSV and its photographs in one line; nothing has been made
+    PlanError, TargetError, SessionError
+        as their names say; nothing has been made
 
     >>> session = labkit.import_frames("frames.csv", "plan.toml", "night-3")
     """
@@ -113,7 +127,7 @@ def import_frames(
 
 
 def read_rows(csv_path: Path, plan: Plan) -> list[Row]:
-    """The rows of a CSV, checked against the plan. Raises DataError with every problem in one line."""
+    """Return the rows of a CSV, checked against the plan. Raises DataError with all faults in one line."""
     header, lines = _read_cells(csv_path)
     rows = list[Row]()
     problems = list[tuple[str, str]]()
@@ -135,7 +149,7 @@ def read_rows(csv_path: Path, plan: Plan) -> list[Row]:
 
 
 def _refuse(csv_path: Path, problems: list[str]) -> None:
-    """Raise DataError with the problems, if there are any, in one line."""
+    """Raise DataError with all faults in one line; do nothing without faults."""
     if problems:
         more = (
             [f"and {len(problems) - MOST_PROBLEMS} more problems"]
@@ -146,7 +160,10 @@ def _refuse(csv_path: Path, problems: list[str]) -> None:
 
 
 def _read_cells(csv_path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """The header, and number and cells of each line that is not empty; separated by commas, or else by semicolons."""
+    """Return the header, and number and cells of each line that is not empty.
+
+    Cells are separated by commas, or else by semicolons.
+    """
     try:
         refuse_special(csv_path)
         text = csv_path.read_text(encoding="utf-8-sig")
@@ -195,7 +212,7 @@ def _row(folder: Path, line: int, header: list[str], cells: list[str], plan: Pla
 
 
 def _inside(folder: Path, file: str) -> Path:
-    """The real path of a file that must lie in the folder, links followed."""
+    """Return the real path of a file that must be in the folder, links followed."""
     if not file:
         raise DataError("file is empty")
     if len(file) > LONGEST_PATH:
@@ -233,7 +250,7 @@ def _range(text: str, plan: Plan) -> float | None:
 def _check_photographs(
     csv_path: Path, rows: list[Row], plan: Plan, progress: Progress
 ) -> list[_Checked]:
-    """Decode every photograph. Raises DataError with every problem in one line."""
+    """Decode every photograph. Raises DataError with all faults in one line."""
     checked: list[_Checked] = []
     problems: list[tuple[str, str]] = []
     first: Mosaic | None = None
@@ -261,7 +278,7 @@ def _check_photographs(
 
 
 def _each_once(problems: Sequence[tuple[str, str]], of: str) -> list[str]:
-    """Of messages, each with what it says apart from its file or its line, the first of those that say the same."""
+    """Return messages without repetitions, given with their text apart from file and line."""
     times, firsts = Counter(what for _, what in problems), dict[str, str]()
     for words, what in problems:
         firsts.setdefault(what, words)
@@ -288,7 +305,7 @@ def _channel_problem(mosaic: Mosaic, plan: Plan) -> str | None:
 
 
 def _names(rows: list[Row]) -> list[str]:
-    """A name in frames/ for each row: its file's name where possible, safe and different from all others."""
+    """Return a name in frames/ for each row: its file's name if possible, safe and unique."""
     names: list[str] = []
     taken: set[str] = set()
     for row in rows:

@@ -1,7 +1,8 @@
-"""The journal of a session: append-only, one JSON object a line, each with a checksum and with that of the line before.
+"""The journal of a session: append-only, one JSON object a line, chained by checksums.
 
-A line counts once it is whole and synced. The last line may be torn by a crash; any other damage is an error. Lines of
-earlier labkits stand alone: they have no `after`, and only the last of them is tied to a line that has one.
+A line counts once it is whole and synced. A crash may tear the last line; any other damage
+is an error. Lines of earlier versions have no `after` and are not chained, except the last
+before a chained line.
 """
 
 from __future__ import annotations
@@ -37,7 +38,9 @@ GO_ON = "then go on with --resume"
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A whole line: its event, its own checksum, and that of the line before; "" for the first one, None if unchained."""
+    """A whole line: its event, its own checksum, and the previous line's; "" for the first line, None if
+    unchained.
+    """
 
     event: Event
     check: str
@@ -46,8 +49,9 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Journal:
-    """What a journal holds: events, the bytes of a torn last line, the checksum of the last whole one, and how many of
-    the first lines are not chained."""
+    """Content of a journal: events, bytes of a torn last line, checksum of the last whole line, number of
+    unchained lines.
+    """
 
     events: tuple[Event, ...]
     torn: bytes
@@ -75,14 +79,14 @@ def journal_in(folder: Path) -> Path:
 
 
 def encode(event: Event, after: str | None) -> tuple[bytes, str]:
-    """One journal line, and its "check": the start of the SHA-256 of the rest, "after" included."""
+    """Return one journal line, and its "check": the start of the SHA-256 of the rest, "after" included."""
     chained = event if after is None else {**event, "after": after}
     check = hashlib.sha256(_dumps(chained)).hexdigest()[:16]
     return _dumps({**chained, "check": check}) + b"\n", check
 
 
 def decode(line: bytes) -> Line | None:
-    """A line without its newline, checked to the byte; None if it is damaged."""
+    """Return a line, checked to the byte, from text without newline; None if damaged."""
     try:
         event = json.loads(line.decode(), parse_constant=_refuse)
         if not isinstance(event, dict) or not isinstance(event.get("event"), str):
@@ -98,10 +102,10 @@ def decode(line: bytes) -> Line | None:
 
 
 def read_journal(path: Path) -> Journal:
-    """A journal, checked line by line and from each line to the next.
+    """Read a journal, checking each line and the chain.
 
-    Raises SessionError if the file cannot be read, a line other than the last is damaged, or lines are missing, doubled
-    or out of order.
+    Raises SessionError if the file cannot be read, a line other than the last is damaged,
+    or lines are missing, doubled or out of order.
     """
     try:
         content = path.read_bytes()
@@ -151,12 +155,13 @@ def is_being_written(path: Path) -> bool:
 
 
 class JournalWriter:
-    """The one writer of a journal; the lock goes with the process, however it ends."""
+    """The only writer of a journal; its lock ends with the process."""
 
     def __init__(self, path: Path) -> None:
-        """Open `path`, made if absent, and read what it holds, as `journal`.
+        """Open `path`, made if absent, and read its content as `journal`.
 
-        Raises SessionError if another writer has it or it is damaged, InputError if it cannot be written.
+        Raises SessionError if another process writes the journal or it is damaged,
+        InputError if the file cannot be written.
         """
         open_standard_streams()
         self.path = path  # a session is made elsewhere and then renamed
@@ -182,10 +187,10 @@ class JournalWriter:
         self._end = whole, self.journal.last_check
 
     def append(self, event: str, **fields: Any) -> Event:
-        """Write one event with the time of now; it is on the disk when this returns.
+        """Write one event with the present time; the event is on the disk at return.
 
-        Raises InputError if it cannot be, SessionError if the file is no longer the one that was written to, ValueError
-        for a field whose name is reserved.
+        Raises InputError if the disk does not take the event, SessionError if the file was
+        replaced, ValueError for a field with a reserved name.
         """
         if wrong := [name for name in fields if name in RESERVED]:
             raise ValueError(
@@ -219,7 +224,7 @@ class JournalWriter:
         self._file.close()
 
     def _refuse_strange_file(self) -> None:
-        """Raise SessionError where the journal was removed, replaced or shortened; what it held is saved beside it."""
+        """Raise SessionError if the journal was removed, replaced or shortened; save its content beside."""
         ours, whole = os.fstat(self._file.fileno()), self._end[0]
         try:
             there = os.stat(self.path)
@@ -242,7 +247,7 @@ class JournalWriter:
             )
 
     def _catch_up(self) -> None:
-        """Know the file's end again after a line that was written, but not to the end of `append`: Ctrl-C, a full disk."""
+        """Find the file's end again after an interrupted `append`: Ctrl-C, a full disk."""
         size = os.fstat(self._file.fileno()).st_size
         if size != self._end[0]:
             journal = _parse(os.pread(self._file.fileno(), size, 0), self.path)

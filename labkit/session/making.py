@@ -1,4 +1,4 @@
-"""A session's folder, made beside where it is to be and then put there whole."""
+"""Make a session's folder beside its final place, then move the whole folder there."""
 
 from __future__ import annotations
 
@@ -18,7 +18,10 @@ HALF_MADE = re.compile(r"\..+\.(\d+)\.(?:new|import)")
 
 
 def refuse_existing(folder: Path, go_on: str = "") -> None:
-    """Raise SessionError unless a session can be made at `folder`. go_on: how to go on with a session that is there."""
+    """Raise SessionError unless a session can be made at `folder`.
+
+    go_on: how to continue an existing session
+    """
     if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
         hint = (
             f"; to go on with it, use {go_on}"
@@ -46,10 +49,11 @@ def refuse_existing(folder: Path, go_on: str = "") -> None:
 
 @contextmanager
 def made_beside(folder: Path, how: str) -> Iterator[Path]:
-    """A new folder beside, which takes the place of `folder` after the block, and goes if that fails.
+    """Yield a new folder that replaces `folder` after the block, and is removed if the block fails.
 
-    how: "new" or "import". What others, killed meanwhile, have left half made there is removed. Raises SessionError where
-    `folder` is taken, before the block or after it, InputError where nothing can be written.
+    Half-made folders of killed processes are removed. how: "new" or "import". Raises
+    SessionError if `folder` exists before or after the block, InputError if nothing can be
+    written.
     """
     refuse_existing(folder)
     real = folder.resolve()
@@ -72,7 +76,7 @@ def made_beside(folder: Path, how: str) -> Iterator[Path]:
 
 
 def remove_abandoned(folder: Path) -> None:
-    """Remove half-made sessions in a folder that no process is at work on, here or on another machine."""
+    """Remove half-made sessions in a folder that no process on any machine works on."""
     for path in folder.glob(".*"):
         found = HALF_MADE.fullmatch(path.name)
         # of a process of this machine the lock is not even asked for: it may be about to take it

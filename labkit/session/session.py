@@ -1,7 +1,8 @@
-"""The session folder: a plan as run, frames as they came, a journal of what happened, results.
+"""The session folder: the plan as run, the frames unchanged, a journal of events, results.
 
-A frame is in the session once its journal line is. An "adding" line goes before the file and a "frame" line after it,
-so a crash at any moment leaves either no frame, or one that the next writer finds whole and commits.
+A frame belongs to the session once its journal line is written. An "adding" line precedes
+the file and a "frame" line follows, so a crash at any moment leaves either no frame, or a
+whole one that the next writer commits.
 """
 
 from __future__ import annotations
@@ -64,7 +65,8 @@ MOST_NAMED = 20  # files in a message
 class Session:
     """A session folder, open to read, or to append by one process at a time.
 
-    Made by `create`, `open` and `append`; a context manager. `warnings` lists what was mended or left out on opening.
+    Made by `create`, `open` and `append`; a context manager. `warnings` lists repairs and
+    omissions on opening.
 
     >>> labkit.Session.open("night-3").frames
     """
@@ -96,10 +98,20 @@ class Session:
 
     @classmethod
     def create(cls, folder: str | Path, plan_text: str, plan_folder: str | Path) -> Session:
-        """A new session, open to append. A target picture of the plan is copied into it.
+        """Create a session, open to append, with a copy of the plan's target picture.
 
-        plan_text: TOML; plan_folder: what its file names are relative to.
-        Raises PlanError, or SessionError if `folder` exists and is not empty.
+        Parameters
+        ----------
+        folder : absent or empty
+        plan_text : TOML
+        plan_folder : folder of the files named in the plan
+
+        Raises
+        ------
+        PlanError
+            the text holds no plan
+        SessionError
+            `folder` exists and is not empty
         """
         folder = Path(folder)
         plan = Plan.parse(plan_text, Path(plan_folder))
@@ -118,7 +130,13 @@ class Session:
 
     @classmethod
     def open(cls, folder: str | Path) -> Session:
-        """An existing session, to read. Raises SessionError if it is none, or its journal is damaged."""
+        """Open a session to read.
+
+        Raises
+        ------
+        SessionError
+            the folder is no session, or its journal is damaged
+        """
         path = journal_in(Path(folder))
         journal = read_journal(path)
         warnings = (f"{path}: left out a torn last line",) if journal.torn else ()
@@ -126,9 +144,13 @@ class Session:
 
     @classmethod
     def append(cls, folder: str | Path) -> Session:
-        """An existing session, to add to. What a crash left is mended; `warnings` lists it.
+        """Open a session to append. Damage by a crash is repaired; `warnings` lists the repairs.
 
-        Raises SessionError if it is none, is damaged, holds links, or is being written by another process.
+        Raises
+        ------
+        SessionError
+            the folder is no session, is damaged, holds links, or is being written by
+            another process
         """
         path = journal_in(Path(folder))
         refuse_links(*links_in(path.parent))
@@ -150,13 +172,13 @@ class Session:
 
     @property
     def plan(self) -> Plan:
-        """The plan as run. Raises SessionError if it, or its target's picture, was altered since."""
+        """The plan as run. Raises SessionError if the plan, or its target's picture, was altered since."""
         if self._plan is None:
             self._plan = plan_as_run(self.folder, self._planned)
         return self._plan
 
     def plan_damage(self) -> list[str]:
-        """What is wrong with the plan and its target's picture, a line each."""
+        """Return the faults of the plan and its target's picture, one line each."""
         return plan_damage(self.folder, self._planned)
 
     @property
@@ -177,10 +199,20 @@ class Session:
     def add_frame(
         self, source: Path, name: str, kind: FrameKind, range_mm: float | None, **meta: Any
     ) -> Frame:
-        """Copy a photograph into frames/ and commit it; it is on the disk when this returns.
+        """Copy a photograph into frames/ and commit it; the frame is on the disk at return.
 
-        name: its name there; meta: anything JSON can hold, such as exposure_s.
-        Raises SessionError for a name that is taken or unsafe, or a kind that is none.
+        Parameters
+        ----------
+        source : file of the photograph
+        name : in frames/
+        kind : kind of frame
+        range_mm : mm; None if unknown or without meaning
+        meta : any values that JSON can hold, such as exposure_s
+
+        Raises
+        ------
+        SessionError
+            the name exists or is unsafe, or the kind is unknown
         """
         target = self.folder / FRAMES / check_name(name)
         if kind not in FRAME_KINDS:
@@ -205,7 +237,13 @@ class Session:
         return frame_of(self._write("frame", **fields), self.folder)
 
     def log(self, event: str, **fields: Any) -> None:
-        """Write an event to the journal. Raises ValueError for those that are the session's itself."""
+        """Write an event to the journal.
+
+        Raises
+        ------
+        ValueError
+            the event is reserved for the session itself
+        """
         if event in NEEDED:
             raise ValueError(f"event {event!r} belongs to the session itself")
         self._write(event, **fields)
@@ -222,9 +260,14 @@ class Session:
         self._plan = None
 
     def results_folder(self, name: str = "latest") -> Path:
-        """The folder for results of that name; it need not exist yet.
+        """Return the folder of the results of a name; the folder need not exist yet.
 
-        Raises InputError if it cannot be written to, SessionError where the session holds links to other places.
+        Raises
+        ------
+        InputError
+            the folder cannot be written to
+        SessionError
+            the session holds links to other places
         """
         folder = self.folder / RESULTS / check_name(name)
         refuse_links(*links_in(self.folder))
@@ -262,13 +305,13 @@ class Session:
 
     @property
     def _planned(self) -> Event:
-        """The event that the plan in the folder belongs to."""
+        """Event to which the plan in the folder belongs."""
         return [
             event for event in self._events if event["event"] in ("created", "replanned")
         ][-1]
 
     def _mend(self, torn: bytes) -> None:
-        """Cut a torn line off, and finish or give up the frame that was being added."""
+        """Remove a torn line, and finish or abandon the frame being added."""
         assert self._writer is not None
         warnings = []
         if torn:
@@ -298,11 +341,11 @@ class Session:
 
 
 def begin(plan: Plan | Path | str, folder: Path | str, resume: bool) -> Session:
-    """A session to capture into: a new one, or with `resume` the one in `folder` if there is one. plan: or its path.
+    """Open a session for a capture: a new one, or with `resume` an existing one.
 
-    Until its first photograph a session takes up what has changed in the plan; a preflight may ask for that. Raises
-    SessionError where a session is there and resume is not set or its plan was altered, PlanError where its photographs
-    were taken by another plan.
+    Until its first photograph a session adopts changes of the plan, which a preflight may
+    require. plan: or its path. Raises SessionError if a session exists and resume is not
+    set or its plan was altered, PlanError if its photographs were taken by another plan.
     """
     folder, source = Path(folder), plan_source(plan)
     if not resume:
@@ -327,7 +370,7 @@ def begin(plan: Plan | Path | str, folder: Path | str, resume: bool) -> Session:
 
 
 def unlisted(session: Session) -> list[Path]:
-    """What lies in frames/ and does not stand in the journal, as it is now: another process may be adding to both."""
+    """Return the files in frames/ that the journal lacks now: another process may add to both."""
     folder = session.folder / FRAMES
     there = sorted(folder.iterdir()) if folder.is_dir() else []
     # the journal is read last: a line goes before each photograph
@@ -339,7 +382,7 @@ def unlisted(session: Session) -> list[Path]:
 
 
 def refuse_unlisted(session: Session) -> None:
-    """Raise SessionError for photographs that the journal does not know: it has lost its end."""
+    """Raise SessionError for photographs that the journal lacks: its end is lost."""
     if strange := unlisted(session):
         aside = str(session.folder / "aside")
         first = shlex.join(["mv", *map(str, strange[:MOST_NAMED]), aside])
@@ -352,7 +395,7 @@ def refuse_unlisted(session: Session) -> None:
 
 
 def leftovers(folder: Path) -> list[Path]:
-    """What a process that was killed leaves beside the session's own files."""
+    """Return the temporary files left by killed processes."""
     names = (INCOMING, EXPOSING)
     return [
         path

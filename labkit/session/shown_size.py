@@ -1,4 +1,4 @@
-"""How large a display drew the target: whole panel pixels a cell, which the capture wrote into the journal."""
+"""The target's size as displayed: whole panel pixels a cell, recorded by the capture in the journal."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from labkit.target import open_target
 
 
 def with_shown_size(session: Session, plan: Plan) -> Plan:
-    """A plan to fit the session with, its target as large as the display drew it.
+    """Return a plan with the target's size as displayed.
 
-    A plan that states another size than the session's own is left as it is: the target was measured. So is one of a target
-    that no display showed. A size that is off by a thousandth is a scale that is: focal length and tape take it up, and the
-    f-number with them.
+    A plan whose size differs from the session's own is returned unchanged, because its
+    target was measured; so is a plan of a target that no display showed. A size wrong by a
+    thousandth makes the scale wrong by as much, and with it focal length, range zero and
+    f-number.
     """
     sizes = [event["shown_size_mm"] for event in session.events if "shown_size_mm" in event]
     asked = session.plan.target

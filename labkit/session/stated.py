@@ -1,4 +1,4 @@
-"""What the photographs' files state of lens and settings, beside the plan and beside each other."""
+"""Compare statements of the photographs' files on lens and settings with the plan and with each other."""
 
 from __future__ import annotations
 
@@ -29,9 +29,10 @@ Stated = tuple[str, Exif]
 def contradictions(
     photographs: Iterable[tuple[str, FrameKind, Path]], plan: Plan
 ) -> list[Finding]:
-    """Where files contradict the plan or each other; each finding names both and what to do.
+    """Return contradictions between files and plan or among files; each finding names both and the remedy.
 
-    photographs: name, kind and file; darks say nothing about a lens. Files that state nothing contradict nothing.
+    photographs: name, kind and file. Darks say nothing about a lens; files without
+    statements contradict nothing.
     """
     stated: list[Stated] = []
     for name, kind, path in photographs:
@@ -42,7 +43,7 @@ def contradictions(
 
 
 def stops_between(one: float, other: float) -> float:
-    """How many stops of light lie between two f-numbers."""
+    """Return the exposure steps between two f-numbers."""
     return abs(2 * math.log2(one / other))
 
 
@@ -93,7 +94,7 @@ def _differ(
     value_of: Callable[[Exif], float | str | None],
     words: str,
 ) -> Iterator[Finding]:
-    """The first photograph that does not state the same as the one before all."""
+    """Yield a finding for the first photograph whose statement differs from its predecessor's."""
     values = [
         (name, value) for name, exif in stated if (value := value_of(exif)) is not None
     ]

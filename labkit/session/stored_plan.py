@@ -1,4 +1,4 @@
-"""The plan in a session's folder: as it was run, with the target's picture beside it, both held by their checksums."""
+"""Store the plan in a session's folder, as run, with the target's picture and both checksums."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PLAN = "plan.toml"
 
 @dataclass(frozen=True, slots=True)
 class PlanSource:
-    """A plan to begin a session with: its TOML, the folder that file names in it are relative to, what to call it."""
+    """A plan for a new session: its TOML, the folder of the files it names, and its name for messages."""
 
     plan: Plan
     text: str
@@ -35,7 +35,10 @@ class PlanSource:
 
 
 def plan_source(plan: Plan | Path | str) -> PlanSource:
-    """Of a plan made in Python, or of one in a file, whose text is kept as it stands. Raises PlanError."""
+    """Return the source of a plan made in Python, or of a file, whose text is kept unchanged.
+
+    Raises PlanError.
+    """
     if isinstance(plan, Plan):
         return PlanSource(plan, plan.to_toml(), Path(), "given")
     path = Path(plan)
@@ -43,10 +46,10 @@ def plan_source(plan: Plan | Path | str) -> PlanSource:
 
 
 def store_plan(plan: Plan, text: str, folder: Path, taken: Sequence[str]) -> dict[str, str]:
-    """Write plan.toml, and the target's picture beside it; what the "created" event holds of them.
+    """Write plan.toml and the target's picture; return their entry for the "created" event.
 
-    taken: names in the folder that a picture may not have. Raises SessionError where `text` names the picture in another
-    way than by one plain string.
+    taken: names in the folder that a picture may not have. Raises SessionError unless
+    `text` names the picture by one plain string.
     """
     fields = {}
     if plan.target.file is not None:
@@ -61,9 +64,10 @@ def store_plan(plan: Plan, text: str, folder: Path, taken: Sequence[str]) -> dic
 
 
 def plan_as_run(folder: Path, planned: Event) -> Plan:
-    """The plan in a session's folder. planned: the "created" or "replanned" event that belongs to it.
+    """Return the plan in a session's folder.
 
-    Raises SessionError if plan or picture are not as they were then.
+    planned: the "created" or "replanned" event of the plan. Raises SessionError if plan or
+    picture changed since.
     """
     if damage := plan_damage(folder, planned):
         raise SessionError(
@@ -74,7 +78,7 @@ def plan_as_run(folder: Path, planned: Event) -> Plan:
 
 
 def plan_damage(folder: Path, planned: Event) -> list[str]:
-    """What is wrong with the plan and its target's picture, a line each."""
+    """Return the faults of the plan and its target's picture, one line each."""
     files = ((PLAN, "plan_sha256"), (planned.get("target_file"), "target_sha256"))
     problems = (
         checksum_problem(folder / name, planned.get(key, "")) for name, key in files if name
@@ -83,7 +87,7 @@ def plan_damage(folder: Path, planned: Event) -> list[str]:
 
 
 def changed_tables(begun: Plan, now: Plan) -> list[str]:
-    """The tables in which two plans differ, a target's picture compared by content."""
+    """Return the tables in which two plans differ, a target's picture compared by content."""
     plans = [begun, now]
     if (
         begun.target.file
@@ -104,9 +108,9 @@ def changed_tables(begun: Plan, now: Plan) -> list[str]:
 
 
 def _with_target_file(text: str, name: str) -> str:
-    """The plan with [target] file = name, all else as it was, comments too.
+    """Return the plan with [target] file = name and the rest unchanged, comments too.
 
-    Raises SessionError where the file's name is not written as a plain one-line string.
+    Raises SessionError unless the file's name is a plain one-line string.
     """
     wanted = tomllib.loads(text)
     if wanted["target"]["file"] == name:

@@ -1,4 +1,4 @@
-"""Whether a session is as it was made: frames against their checksums, the journal against the folder."""
+"""Verify a session: frames against their checksums, the journal against the folder."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PUT_BACK = (
 
 
 def verify(session: Session) -> list[str]:
-    """What is wrong with a session, a line each: frames against their checksums, the journal against the folder, links."""
+    """Return the faults of a session, one line each: frames, journal, folder, links."""
     problems = [*session.plan_damage(), *altered(session), *session.doubled]
     problems += [f"{path}: not in the journal" for path in unlisted(session)]
     links = [link_problem(path) for path in links_in(session.folder)]
@@ -27,7 +27,7 @@ def verify(session: Session) -> list[str]:
 
 
 def remarks(session: Session) -> list[str]:
-    """What is no damage but worth knowing, a line each: what a crash left, and what `verify` cannot notice."""
+    """Return harmless remarks, one line each: remains of a crash, and changes that `verify` cannot detect."""
     lines = []
     if session.unchained:
         lines.append(
@@ -47,7 +47,7 @@ def remarks(session: Session) -> list[str]:
 
 
 def unused(session: Session) -> list[Finding]:
-    """Report photographs that are not used, for the journal does not list them, or not to the end."""
+    """Report photographs without a complete journal entry, which are not used."""
     strays = unlisted(session)
     adding = pending(session.events)
     if adding and not is_being_written(session.folder / JOURNAL):
@@ -60,7 +60,7 @@ def unused(session: Session) -> list[Finding]:
 
 
 def is_safe(session: Session) -> bool:
-    """Whether all that a session holds in memory stands in its journal and lies in its folder, by a quick look."""
+    """Whether journal and folder contain everything that a session holds in memory, by a quick look."""
     try:
         kept = {frame.file for frame in Session.open(session.folder).frames}
         return all(
@@ -71,13 +71,13 @@ def is_safe(session: Session) -> bool:
 
 
 def as_error(problems: Sequence[str]) -> str:
-    """Say what is wrong with a session, and what to do about files that are not as they were."""
+    """Describe the faults of a session, and the remedy for changed files."""
     words = "; ".join(problems)
     damaged = any("checksum" in problem or "missing" in problem for problem in problems)
     return f"{words}; {PUT_BACK}" if damaged else words
 
 
 def altered(session: Session) -> list[str]:
-    """The photographs that are missing or not as they were taken, a line each."""
+    """Return the photographs that are missing or changed, one line each."""
     problems = (checksum_problem(frame.path, frame.sha256) for frame in session.frames)
     return [problem for problem in problems if problem]

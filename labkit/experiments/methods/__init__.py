@@ -1,1 +1,1 @@
-"""Methods of the thesis that no command but `study` needs: warps, sampling, bounds, tests of an optimum."""
+"""Methods of the thesis that only `study` needs: warps, sampling, bounds, tests of an optimum."""

@@ -10,9 +10,10 @@ from labkit.types import Floats, Integers
 
 
 def fisher_information(problem: Problem, state: State, modes_at_once: int = 4) -> Floats:
-    """Information over all parameters of all frames, computed in little memory.
+    """Return the information over all parameters of all frames, computed in little memory.
 
-    The derivatives of at most twice `modes_at_once` modes of one frame are held at a time (thesis Figure 3.4). The price
+    The derivatives of at most twice `modes_at_once` modes of one frame are held at a time
+    (thesis Figure 3.4). The price
     is that derivatives are computed more than once.
 
     Parameters
@@ -95,15 +96,18 @@ DETECTOR = ("light c1", "ambient light c2", "gain c3", "black level c4", "read n
 
 
 def detector_information(relative: Floats, light: Floats, c: Floats) -> Floats:
-    """Information of one frame on the five detector parameters of thesis (3.4); it is singular.
+    """Return the information of one frame on the five detector parameters of thesis (3.4); the matrix is
+    singular.
 
-    mu = c3 V (c1 u + c2) + c4 and Sigma = c3 (mu - c4) + read_noise^2, with u the relative image and V the illumination.
+    mu = c3 V (c1 u + c2) + c4 and Sigma = c3 (mu - c4) + read_noise^2, with u the relative
+    image and V the illumination.
 
     Parameters
     ----------
     relative : (pixels,), of the target's radiance
     light : (pixels,), illumination relative to its mean
-    c : (5,), in the order of `DETECTOR`: electrons, electrons, counts per electron, counts, counts
+    c : (5,), in the order of `DETECTOR`: electrons, electrons, counts per electron, counts,
+        counts
 
     Returns
     -------
@@ -135,13 +139,14 @@ def detector_information(relative: Floats, light: Floats, c: Floats) -> Floats:
 def uniform_bound(
     covariance: Floats, index: int, multipliers: Floats, norm: Floats | None = None
 ) -> tuple[Floats, Floats]:
-    """The uniform Cramér-Rao bound of one parameter, over the norm of its bias's gradient.
+    """Return the uniform Cramér-Rao bound of one parameter, over the norm of its bias's gradient.
 
     Parameters
     ----------
     covariance : (p, p), of an unbiased estimate
     index : of the parameter
-    multipliers : (n,), Lagrange's, above 0: a large one leaves little bias; in the parameter's unit, squared
+    multipliers : (n,), Lagrange's, above 0: a large one leaves little bias; in the
+        parameter's unit, squared
     norm : (p, p) C of ||d||^2 = d^T C d, the identity by default
 
     Returns
@@ -152,7 +157,8 @@ def uniform_bound(
     Raises
     ------
     ValueError
-        for a multiplier that is not positive, and for matrices that are not symmetric and finite
+        for a multiplier that is not positive, and for matrices that are not symmetric and
+        finite
 
     Notes
     -----
@@ -184,9 +190,9 @@ def uniform_bound(
 
 
 def bias_sensitivity(covariance: Floats, index: int, norm: Floats | None = None) -> float:
-    """Slope of the uniform bound where the bias is zero, in the parameter's unit, squared.
+    """Return the slope of the uniform bound at zero bias, in the parameter's unit, squared.
 
-    It is -2 times the norm of the parameter's row of the covariance. Thesis §3.5.
+    The slope is -2 times the norm of the parameter's row of the covariance. Thesis §3.5.
 
     Parameters
     ----------

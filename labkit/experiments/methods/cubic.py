@@ -52,7 +52,7 @@ class Cubic:
         )
 
     def apply(self, image: Floats, by_row: int = 0, by_col: int = 0) -> Floats:
-        """Interpolated values, or their derivatives.
+        """Return interpolated values, or their derivatives.
 
         Parameters
         ----------
@@ -69,7 +69,7 @@ class Cubic:
         )
 
     def adjoint(self, values: Floats, by_row: int = 0, by_col: int = 0) -> Floats:
-        """The transpose of `apply`: values (points,) to an image (rows, columns)."""
+        """Return the transpose of `apply`: values (points,) to an image (rows, columns)."""
         values = real_array("values", values, self.row.shape, "radiance")
         size = self.shape[0] * self.shape[1]
         terms = self._terms(by_row, by_col)
@@ -78,7 +78,7 @@ class Cubic:
         ).reshape(self.shape)
 
     def _terms(self, by_row: int, by_col: int) -> Iterator[tuple[NDArray[np.intp], Floats]]:
-        """Flat indices and weights, (points,) each, of the 16 neighbours in turn."""
+        """Yield flat indices and weights, (points,) each, of the 16 neighbours in turn."""
         row_index, row_weight = _taps(self.row, self.shape[0], by_row)
         col_index, col_weight = _taps(self.col, self.shape[1], by_col)
         for i, wi in zip(row_index, row_weight, strict=True):
@@ -87,7 +87,7 @@ class Cubic:
 
 
 def _taps(at: Floats, side: int, order: int) -> tuple[NDArray[np.intp], Floats]:
-    """Indices and weights of the four neighbours along one axis, (4, points) each."""
+    """Return indices and weights of the four neighbours along one axis, (4, points) each."""
     if not 0 <= order <= MAX_ORDER:
         raise ValueError(f"a derivative of order {order}: allowed are 0 to {MAX_ORDER}")
     before = np.floor(at)

@@ -34,10 +34,13 @@ class SignificanceTest:
 
 
 def excess_likelihood(problem: Problem, state: State) -> float:
-    """Standardised log-likelihood at its optimum, (l - E l) / sqrt(Var l): negative where the data are too unlikely.
+    """Return the standardised log-likelihood at its optimum, (l - E l) / sqrt(Var l): negative for unlikely
+    data.
 
-    For independent normal pixels E l and Var l at the optimum have closed forms: -chi2/2 of a pixel has mean -1/2 and
-    variance 1/2, and each fitted parameter raises l by a half. The noise is the calibration's, because noise fitted to
+    For independent normal pixels E l and Var l at the optimum have closed forms: -chi2/2 of
+    a pixel has mean -1/2 and
+    variance 1/2, and each fitted parameter raises l by a half. The noise is the
+    calibration's, because noise fitted to
     the data would explain any misfit; the calibration's standard errors enter Var l.
 
     Parameters
@@ -68,19 +71,22 @@ def excess_likelihood(problem: Problem, state: State) -> float:
 
 
 def two_sided(problem: Problem, state: State) -> SignificanceTest:
-    """Biernacki's test, thesis (4.10)."""
+    """Return Biernacki's test, thesis (4.10)."""
     z = excess_likelihood(problem, state)
     return SignificanceTest("Biernacki", z**2, float(chdtrc(1, z**2)))
 
 
 def one_sided(problem: Problem, state: State) -> SignificanceTest:
-    """The one-sided test, thesis (4.12): by Theorem IV.1 a wrong optimum can only make the data less likely."""
+    """Return the one-sided test, thesis (4.12): by Theorem IV.1 a wrong optimum only makes the data less
+    likely.
+    """
     z = excess_likelihood(problem, state)
     return SignificanceTest("one-sided", -z, float(ndtr(z)))
 
 
 def embedding(problem: Problem, state: State, basis: PsfBasis) -> SignificanceTest:
-    """Test by the gap in log-likelihood that a basis of the PSF opens, with Rao's score in place of a second fit.
+    """Return the test by the gap in log-likelihood that a basis of the PSF opens, by Rao's score without a
+    second fit.
 
     Parameters
     ----------
@@ -89,7 +95,8 @@ def embedding(problem: Problem, state: State, basis: PsfBasis) -> SignificanceTe
 
     Returns
     -------
-    twice the gap of thesis (4.21): chi-squared with `basis.degrees` at the right optimum (Wilks)
+    twice the gap of thesis (4.21): chi-squared with `basis.degrees` at the right optimum
+    (Wilks)
     """
     gradient, information = _embedded_score(problem, state, basis.kernels(problem.model))
     statistic = rao_score(gradient, information)
@@ -97,7 +104,7 @@ def embedding(problem: Problem, state: State, basis: PsfBasis) -> SignificanceTe
 
 
 def rao_score(gradient: Floats, information: Floats) -> float:
-    """Rao's statistic s^T F^-1 s: chi-squared with a degree of freedom for each parameter at the truth.
+    """Return Rao's statistic s^T F^-1 s: chi-squared with a degree of freedom for each parameter at the truth.
 
     Parameters
     ----------
@@ -127,7 +134,7 @@ def rao_score(gradient: Floats, information: Floats) -> float:
 
 
 def wilson_hilferty(statistic: float, degrees: int) -> float:
-    """Normal deviate of a chi-squared statistic, by its cube root.
+    """Return the normal deviate of a chi-squared statistic, by its cube root.
 
     Parameters
     ----------
@@ -155,7 +162,9 @@ def wilson_hilferty(statistic: float, degrees: int) -> float:
 def _embedded_score(
     problem: Problem, state: State, kernels: list[Complexes]
 ) -> tuple[Floats, Floats]:
-    """Gradient and information over the coefficients of a basis and all fitted parameters, in this order."""
+    """Return gradient and information over the coefficients of a basis and all fitted parameters, in this
+    order.
+    """
     used = [frame.used for frame in problem.frames]
     drawing = problem.draw(state)
     torus = problem.model.blur.torus
@@ -177,9 +186,11 @@ def bootstrap(
     rng: np.random.Generator,
     draws: int,
 ) -> Floats:
-    """Statistics of data drawn from an optimum and fitted anew: their distribution where that optimum is right.
+    """Return statistics of data drawn from an optimum and fitted anew: their distribution if the optimum is
+    right.
 
-    The calibration of the noise is drawn anew for each set of data, within its standard errors.
+    The calibration of the noise is drawn anew for each set of data, within its standard
+    errors.
 
     Parameters
     ----------
@@ -213,7 +224,10 @@ def bootstrap(
 def _drawn(
     problem: Problem, truth: State, images: Sequence[Floats], rng: np.random.Generator
 ) -> Problem:
-    """The problem with counts drawn at the truth. images: relative radiance of each frame's used pixels."""
+    """Return the problem with counts drawn at the truth.
+
+    images: relative radiance of each frame's used pixels
+    """
     frames = []
     for frame, detector, relative in zip(
         problem.frames, truth.detectors(), images, strict=True
@@ -226,7 +240,7 @@ def _drawn(
 
 
 def bootstrapped(test: SignificanceTest, drawn: Floats) -> SignificanceTest:
-    """The same test with its p-value by bootstrap: the rank among statistics drawn at the right optimum.
+    """Return the test with its p-value by bootstrap: the rank among statistics drawn at the right optimum.
 
     Parameters
     ----------
@@ -244,11 +258,11 @@ def bootstrapped(test: SignificanceTest, drawn: Floats) -> SignificanceTest:
 
 
 def recalibrated(noise: NoisePrior, rng: np.random.Generator) -> NoisePrior:
-    """Gain and read variance of another calibration, drawn within the standard errors of a first."""
+    """Return gain and read variance of another calibration, drawn within the standard errors of a first."""
     gain, read_variance = np.exp(rng.normal(noise.centre, 1 / np.sqrt(noise.precision)))
     return replace(noise, gain=float(gain), read_variance=float(read_variance))
 
 
 def _calibrated(problem: Problem, state: State) -> State:
-    """The state with the calibration's noise."""
+    """Return the state with the calibration's noise."""
     return replace(state, log_noise=problem.noise.centre)

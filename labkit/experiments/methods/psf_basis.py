@@ -51,7 +51,7 @@ class PsfBasis:
         return len(self.directions)
 
     def kernels(self, model: ForwardModel) -> list[Complexes]:
-        """Half planes of the directions' transfer functions on the torus of a model, with the pixel's."""
+        """Return half planes of the directions' transfer functions on a model's torus, including the pixel's."""
         torus = model.blur.torus
         pupil = model.blur.pupil
         step = torus.spacing_um / (pupil.wavelength_um * pupil.f_number) / SPACING_AIRY
@@ -98,7 +98,7 @@ def find_psf_basis(cases: Sequence[Case], degrees: int, half_width: int = 14) ->
 
 
 def _psf_samples(problem: Problem, state: State, half_width: int) -> Floats:
-    """(samples, pixels) change of the frame by each sample of the PSF."""
+    """Return (samples, pixels) change of the frame by each sample of the PSF."""
     torus = problem.model.blur.torus
     pupil = problem.model.blur.pupil
     (frame,) = problem.frames
@@ -115,7 +115,8 @@ def _psf_samples(problem: Problem, state: State, half_width: int) -> Floats:
 
 @cache
 def shipped_psf_basis(degrees: int) -> PsfBasis:
-    """The first directions of the basis that `benchmarks/make_psf_basis.py` found at the conditions of thesis §3.8.
+    """Return the first directions of the basis of `benchmarks/make_psf_basis.py`, for the conditions of thesis
+    §3.8.
 
     Raises
     ------
@@ -134,7 +135,7 @@ def shipped_psf_basis(degrees: int) -> PsfBasis:
 
 
 def noise_free(problem: Problem, state: State) -> Problem:
-    """The same problem with the mean counts at a state in place of the frames' counts."""
+    """Return the problem with the mean counts at a state in place of the frames' counts."""
     frames: list[FrameData] = []
     for frame, detector, relative in zip(
         problem.frames, state.detectors(), problem.relative(state), strict=True

@@ -12,7 +12,7 @@ from labkit.types import Complexes, Floats
 
 
 def psf_hessian(pupil: Pupil, waves: Floats) -> Iterator[tuple[int, int, Floats]]:
-    """Second derivatives of `Pupil.psf`, one pair of modes at a time to spare memory.
+    """Yield second derivatives of `Pupil.psf`, one pair of modes at a time to save memory.
 
     Parameters
     ----------
@@ -31,7 +31,8 @@ def psf_hessian(pupil: Pupil, waves: Floats) -> Iterator[tuple[int, int, Floats]
 
     Notes
     -----
-    Thesis (H.11) for a wavefront linear in its modes, corrected: lambda_ref / lambda, and the normalisation.
+    Thesis (H.11) for a wavefront linear in its modes, corrected: lambda_ref / lambda, and
+    the normalisation.
     """
     waves = real_array("waves", waves, (len(pupil.noll),), "waves RMS, one for each mode")
     radians = 2 * np.pi * pupil.reference_um / pupil.wavelength_um

@@ -50,14 +50,14 @@ class Sampling:
         object.__setattr__(self, "_folds", folds)
 
     def apply(self, signal: Floats) -> Floats:
-        """The signal (*source) resampled to (*result). Thesis (2.68)."""
+        """Return the signal (*source) resampled to (*result). Thesis (2.68)."""
         signal = real_array("signal", signal, self.source, "radiance")
         for axis, fold in enumerate(self._folds):
             signal = _through(signal, axis, fold) * (fold.shape[0] / fold.shape[1])
         return signal
 
     def adjoint(self, values: Floats) -> Floats:
-        """The transpose of `apply`, from (*result) to (*source)."""
+        """Return the transpose of `apply`, from (*result) to (*source)."""
         values = real_array("values", values, self.result, "radiance")
         for axis, fold in enumerate(self._folds):
             values = _through(values, axis, scipy.sparse.csr_array(fold.conj().T))
@@ -67,9 +67,10 @@ class Sampling:
 def grid_sizes(
     ratio: float, source_least: int, result_least: int, tolerance: float
 ) -> tuple[int, int]:
-    """The smallest grid sizes (source, result) whose quotient is a ratio within a tolerance.
+    """Return the smallest grid sizes (source, result) whose quotient is a ratio within a tolerance.
 
-    Of all pairs with |source / result - ratio| <= tolerance ratio, the pair with the smallest result is returned; of
+    Of all pairs with |source / result - ratio| <= tolerance ratio, the pair with the
+    smallest result is returned; of
     these, the nearest to the ratio.
 
     Parameters
@@ -111,7 +112,9 @@ def grid_sizes(
 
 
 def _fold(source: int, result: int) -> scipy.sparse.csr_array:
-    """(result, source) map between the DFTs on both grids, up to the ratio of sizes. Thesis (2.61)-(2.69)."""
+    """Return the (result, source) map between the DFTs on both grids, up to the ratio of sizes. Thesis
+    (2.61)-(2.69).
+    """
     line = np.arange(-(source // 2), source // 2 + 1)
     share = np.ones(line.size, complex)
     if source % 2 == 0:

@@ -7,11 +7,12 @@ from labkit.types import Floats
 
 
 def disc_area(offsets: Floats, radius: float) -> Floats:
-    """Area of a disc inside each unit square of a grid, in closed form.
+    """Return the area of a disc inside each unit square of a grid, in closed form.
 
     Parameters
     ----------
-    offsets : (n,), coordinates of the squares' centres along either axis from the disc's centre, samples
+    offsets : (n,), coordinates of the squares' centres along either axis from the disc's
+        centre, samples
     radius : samples
 
     Returns
@@ -41,7 +42,7 @@ def disc_area(offsets: Floats, radius: float) -> Floats:
 
 
 def _quadrant_area(x: Floats, y: Floats, radius: float) -> Floats:
-    """Area of the disc inside the rectangle from the centre to (x, y), odd in both x and y."""
+    """Return the area of the disc inside the rectangle from the centre to (x, y), odd in both x and y."""
     sign = np.sign(x) * np.sign(y)
     x = np.minimum(np.abs(x), radius)
     y = np.minimum(np.abs(y), radius)

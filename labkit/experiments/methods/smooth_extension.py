@@ -20,7 +20,7 @@ MAX_STEPS = 1000  # 80 are usual
 
 
 def roughness(signal: Floats) -> tuple[float, Floats]:
-    """Half the summed squared gradient, and its derivative by each sample.
+    """Return half the summed squared gradient, and its derivative by each sample.
 
     Parameters
     ----------
@@ -46,21 +46,24 @@ def roughness(signal: Floats) -> tuple[float, Floats]:
 
 
 def fill(signal: Floats, known: Bools) -> Floats:
-    """Replace the unknown samples of a signal by those of least roughness; known samples keep every bit.
+    """Replace the unknown samples of a signal by values of least roughness; known samples keep every bit.
 
-    The solution is unique. Conjugate gradients on the unknown samples converge to it.
+    The solution is unique. Conjugate gradients on the unknown samples converge to the
+    solution.
 
     Parameters
     ----------
-    signal : any number of axes, periodic, radiance; unknown samples may hold any value, NaN too
+    signal : any number of axes, periodic, radiance; unknown samples may hold any value, NaN
+        too
     known : mask of the same shape
 
     Raises
     ------
     ValueError
-        for arrays of other shapes, known samples that are not finite, or a mask without known samples
+        for arrays of other shapes, known samples that are not finite, or a mask without
+        known samples
     FitError
-        where conjugate gradients do not converge
+        if conjugate gradients do not converge
 
     Notes
     -----
@@ -79,7 +82,9 @@ def fill(signal: Floats, known: Bools) -> Floats:
 
 
 def _step_to_smoothest(filled: Floats, unknown: Bools) -> Floats:
-    """(unknown samples,) change of a filled signal that minimises its roughness, by conjugate gradients."""
+    """Return the (unknown samples,) change of a filled signal that minimises its roughness, by conjugate
+    gradients.
+    """
 
     def on_unknown(weights: Floats) -> LinearOperator:
         def apply(step: Floats) -> Floats:
@@ -149,7 +154,7 @@ def guard_band(image: Floats, shape: tuple[int, ...]) -> Floats:
 
 
 def _weights(shape: tuple[int, ...]) -> Floats:
-    """W^2, squared frequencies (radians per sample)^2, on the half spectrum of a real signal."""
+    """Return W^2, squared frequencies (radians per sample)^2, on the half spectrum of a real signal."""
     frequencies = [scipy.fft.fftfreq(n) for n in shape[:-1]] + [
         scipy.fft.rfftfreq(shape[-1])
     ]
@@ -162,5 +167,5 @@ def _weights(shape: tuple[int, ...]) -> Floats:
 
 
 def _filtered(signal: Floats, weights: Floats) -> Floats:
-    """F^H (weights) F of a real signal."""
+    """Return F^H (weights) F of a real signal."""
     return np.asarray(scipy.fft.irfftn(scipy.fft.rfftn(signal) * weights, signal.shape))

@@ -1,7 +1,9 @@
-"""Candidates for another start of the search: perturbations of a wavefront that change its PSF least, thesis (4.39).
+"""Candidates for another start of the search: perturbations of a wavefront that change its PSF least, thesis
+(4.39).
 
-Of all perturbations of one RMS, a shell, they have the highest Strehl ratio. They do not depend on the wavefront that is
-perturbed: `benchmarks/make_strehl_candidates.py` computes them once, and the package holds its result.
+Of all perturbations of one RMS, a shell, they have the highest Strehl ratio. They do not
+depend on the perturbed wavefront: `benchmarks/make_strehl_candidates.py` computes them
+once, and the package holds its result.
 """
 
 from functools import cache
@@ -25,7 +27,7 @@ ALIKE_ROTATIONS = 180  # that a comparison of two wavefronts tries: 2 degrees ap
 
 @cache
 def _quadrature() -> tuple[Floats, Floats]:
-    """(samples,) weights over the disc, of unit sum, and (modes, samples) modes there."""
+    """Return (samples,) weights over the disc, of unit sum, and (modes, samples) modes there."""
     nodes, weights = np.polynomial.legendre.leggauss(RADII)
     angles = 2 * np.pi * np.arange(ANGLES) / ANGLES
     rho, theta = np.meshgrid(np.sqrt((nodes + 1) / 2), angles, indexing="ij")
@@ -52,7 +54,9 @@ def rotated(waves: Floats, angle_rad: float) -> Floats:
 
 
 def strehl(waves: Floats) -> tuple[float, Floats]:
-    """Strehl ratio of a wavefront (12,), waves RMS over Noll 4 to 15, and its gradient (12,) per wave."""
+    """Return the Strehl ratio of a wavefront (12,), waves RMS over Noll 4 to 15, and its gradient (12,) per
+    wave.
+    """
     waves = _over_noll("waves", waves)
     weights, modes = _quadrature()
     field = weights * np.exp(2j * np.pi * (waves @ modes))
@@ -62,7 +66,7 @@ def strehl(waves: Floats) -> tuple[float, Floats]:
 
 
 def highest_on_shell(start: Floats, rms: float) -> Floats:
-    """A local maximum of the Strehl ratio among wavefronts of one RMS.
+    """Return a local maximum of the Strehl ratio among wavefronts of one RMS.
 
     Parameters
     ----------
@@ -76,7 +80,8 @@ def highest_on_shell(start: Floats, rms: float) -> Floats:
     Raises
     ------
     ValueError
-        for a start of another shape, not finite or zero, and for an RMS that is not positive
+        for a start of another shape, not finite or zero, and for an RMS that is not
+        positive
     """
     start = _over_noll("start", start)
     positive("rms", rms, "waves")
@@ -99,7 +104,7 @@ def highest_on_shell(start: Floats, rms: float) -> Floats:
 
 
 def _associates(waves: Floats) -> Floats:
-    """(4, ..., 12) wavefronts (..., 12), their negatives, twins and twins' negatives."""
+    """Return (4, ..., 12) wavefronts (..., 12), their negatives, twins and twins' negatives."""
     twin = waves * twin_signs(NOLL)
     return np.stack([waves, -waves, twin, -twin])
 
@@ -128,7 +133,7 @@ def is_trivial(waves: Floats, other: Floats, tolerance: float) -> bool:
 
 @cache
 def shipped_perturbations() -> tuple[Floats, Floats]:
-    """(n,) RMS of the shells, waves, and (n, 12) perturbations on them, none a trivial associate of another."""
+    """Return (n,) RMS of the shells, waves, and (n, 12) perturbations, none a trivial associate of another."""
     folder = resources.files("labkit.experiments.methods")
     with resources.as_file(folder / "strehl_candidates.npz") as path, np.load(path) as data:
         return data["rms"].astype(float), data["waves"].astype(float)

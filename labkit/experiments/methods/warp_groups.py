@@ -57,7 +57,7 @@ class WarpGroup:
             raise ValueError(f"dof = {self.dof}: allowed is one of {DEGREES}")
 
     def identity(self) -> Floats:
-        """(dof,) parameters of the identity."""
+        """Return the (dof,) parameters of the identity."""
         if self.dof not in ROTATING:
             return np.array([0.0, 0, 1, 0, 0, 1, 0, 0][: self.dof])
         parameters = np.zeros(self.dof)
@@ -67,7 +67,7 @@ class WarpGroup:
         return parameters
 
     def matrix(self, x: Floats) -> Floats:
-        """(3, 3) homography of (row, column, 1) for parameters x (dof,).
+        """Return the (3, 3) homography of (row, column, 1) for parameters x (dof,).
 
         Raises
         ------
@@ -77,13 +77,13 @@ class WarpGroup:
         return self._matrices(x)[0]
 
     def matrix_derivatives(self, x: Floats) -> tuple[Floats, Floats]:
-        """First (dof, 3, 3) and second (dof, dof, 3, 3) derivatives of `matrix` by x."""
+        """Return first (dof, 3, 3) and second (dof, dof, 3, 3) derivatives of `matrix` by x."""
         return self._matrices(x)[1:]
 
     def to_object(
         self, x: Floats, where: Floats, centre: tuple[float, float] = (0.0, 0.0)
     ) -> Floats:
-        """Object coordinates of image points, by the inverse of the matrix.
+        """Return object coordinates of image points, by the inverse of the matrix.
 
         Parameters
         ----------
@@ -98,7 +98,8 @@ class WarpGroup:
         Raises
         ------
         ValueError
-            for other shapes, a singular matrix, and points on or beyond the horizon of a perspective
+            for other shapes, a singular matrix, and points on or beyond the horizon of a
+            perspective
 
         Notes
         -----
@@ -110,7 +111,9 @@ class WarpGroup:
     def to_object_derivatives(
         self, x: Floats, where: Floats, centre: tuple[float, float] = (0.0, 0.0)
     ) -> tuple[Floats, Floats]:
-        """First (dof, 2, ...) and second (dof, dof, 2, ...) derivatives of `to_object` by x. Thesis (D.7)-(D.15)."""
+        """Return first (dof, 2, ...) and second (dof, dof, 2, ...) derivatives of `to_object` by x. Thesis
+        (D.7)-(D.15).
+        """
         inverse = self._inverse(x, centre)
         points = _homogeneous(where)
         about = _about(centre)
@@ -133,7 +136,7 @@ class WarpGroup:
         return gradient, hessian
 
     def _inverse(self, x: Floats, centre: tuple[float, float]) -> Floats:
-        """(3, 3) matrix of (D.3): L^-1 V^-1 L, where L moves the centre to the origin."""
+        """Return the (3, 3) matrix of (D.3): L^-1 V^-1 L, where L moves the centre to the origin."""
         matrix = self.matrix(x)
         about = _about(centre)
         if not abs(np.linalg.det(matrix)) > SINGULAR * np.abs(matrix).max() ** 3:
@@ -143,7 +146,7 @@ class WarpGroup:
         return np.asarray(np.linalg.inv(about) @ np.linalg.inv(matrix) @ about)
 
     def _matrices(self, x: Floats) -> tuple[Floats, Floats, Floats]:
-        """The matrix, its first and its second derivatives."""
+        """Return the matrix, its first and its second derivatives."""
         x = real_array("x", x, (self.dof,), "samples, radians and ratios")
         if self.dof in ROTATING:
             return self._rotating(x)
@@ -155,7 +158,7 @@ class WarpGroup:
         return matrix, first, np.zeros((self.dof, self.dof, 3, 3))
 
     def _rotating(self, x: Floats) -> tuple[Floats, Floats, Floats]:
-        """Rotation times magnifications: derivatives by shifts, magnifications and angle, then by x."""
+        """Return rotation times magnifications: derivatives by shifts, magnifications and angle, then by x."""
         places = ROTATING[self.dof]
         choose = np.array(
             [[float(place == i) for i in range(self.dof)] for place in places]
@@ -213,7 +216,7 @@ def warp(image: Floats, group: WarpGroup, x: Floats, where: Floats) -> Floats:
 def warp_derivatives(
     image: Floats, group: WarpGroup, x: Floats, where: Floats
 ) -> tuple[Floats, Floats]:
-    """First (dof, ...) and second (dof, dof, ...) derivatives of `warp` by x. Thesis (D.9), (D.16).
+    """Return first (dof, ...) and second (dof, dof, ...) derivatives of `warp` by x. Thesis (D.9), (D.16).
 
     The cubic's second derivative jumps where a point passes a sample.
     """
@@ -245,18 +248,18 @@ def _cubic(image: Floats, at: Floats) -> Cubic:
 
 
 def _about(centre: tuple[float, float]) -> Floats:
-    """(3, 3) translation L of the centre to the origin."""
+    """Return the (3, 3) translation L of the centre to the origin."""
     return np.array([[1.0, 0, -centre[0]], [0, 1, -centre[1]], [0, 0, 1]])
 
 
 def _homogeneous(where: Floats) -> Floats:
-    """(3, ...) homogeneous coordinates of points (2, ...)."""
+    """Return (3, ...) homogeneous coordinates of points (2, ...)."""
     where = real_array("where", where, (2, *[None] * (np.ndim(where) - 1)), "samples")
     return np.concatenate([where, np.ones((1, *where.shape[1:]))])
 
 
 def _projected(points: Floats) -> Floats:
-    """(2, ...) points of homogeneous coordinates (3, ...)."""
+    """Return (2, ...) points of homogeneous coordinates (3, ...)."""
     # the third coordinate is one over that of the object's own point, which is positive on the visible side
     if beyond := np.count_nonzero(points[2] <= 0):
         raise ValueError(

@@ -1,4 +1,4 @@
-"""Parts of camera and lens that blur, one a file. A new part is a file and a place in `KNOWN`."""
+"""Parts of camera and lens that blur, each in a file. A new part is a file and an entry in `KNOWN`."""
 
 from labkit.imaging.parts.blades import Blades
 from labkit.imaging.parts.cats_eye import CatsEye

@@ -29,10 +29,11 @@ DIRECTIONS = np.linspace(0, FULL_TURN, 36, endpoint=False)
 
 @dataclass(frozen=True, slots=True)
 class CatsEye(Part):
-    """A circle that cuts the pupil. right, down: shift of its centre; growth: its radius less 1; of the full pupil's radius.
+    """A circle that cuts the pupil. right, down: shift of its centre; growth: its radius less 1; of the full
+    pupil's radius.
 
-    With all numbers 0 it is the pupil's own edge. The likelihood is not regular there, so an `UnevenRim` is looked for, and a
-    cat's eye is fitted in its place.
+    With all numbers 0 the circle is the pupil's own edge. The likelihood is not regular
+    there, so fits test for an `UnevenRim` and estimate a cat's eye in its place.
     """
 
     right: float = 0.0
@@ -78,7 +79,7 @@ class CatsEye(Part):
         return replace(self, right=within * right, down=within * down, growth=growth)
 
     def begun(self, before: Sequence[Part]) -> Self:
-        """Return the circle whose outline has the harmonics of an uneven rim that was fitted before."""
+        """Return the circle whose outline has the harmonics of a previously fitted uneven rim."""
         uneven = next((part for part in before if isinstance(part, UnevenRim)), None)
         if uneven is None:
             return self
@@ -128,7 +129,9 @@ class CatsEye(Part):
 
 
 def _harmonics(circle: Circle) -> Floats:
-    """Return the second and third harmonics (4,) of the pupil's outline that a circle cuts, relative to its mean."""
+    """Return the second and third harmonics (4,) of the outline of a pupil cut by a circle, relative to its
+    mean.
+    """
     outline = np.minimum(1.0, circle.radius(ANGLES))
     outline = outline / outline.mean()
     turns = np.array([wave(k * ANGLES) for k in (2, 3) for wave in (np.cos, np.sin)])

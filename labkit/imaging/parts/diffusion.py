@@ -1,4 +1,4 @@
-"""Charge that diffuses between the pixels before it is read: a round Gaussian."""
+"""Diffusion of charge between the pixels before readout: a round Gaussian."""
 
 from __future__ import annotations
 

@@ -18,10 +18,11 @@ from labkit.uncertain import Uncertain
 
 @dataclass(frozen=True, slots=True)
 class LowPass(Part):
-    """Four spots at (+-s/2, +-t/2). rows, columns: s^2 and t^2, pixels squared; turned: by 45 degrees, so that s runs down to
-    the right and t down to the left.
+    """Four spots at (+-s/2, +-t/2). rows, columns: s^2 and t^2, pixels squared.
 
-    cos(pi s w) is analytic in s^2, so that no s = 0 stands in an estimate's way; where s^2 is below 0, it is a cosh.
+    turned: by 45 degrees, so that s runs down to the right and t down to the left. cos(pi s
+    w) is analytic in s^2, so an estimate passes s = 0 smoothly; below s^2 = 0 the cosine is
+    a cosh.
     """
 
     rows: float = 0.0
@@ -72,7 +73,7 @@ class LowPass(Part):
         )
 
     def _axes(self, rows: AnyFloats, columns: AnyFloats) -> tuple[AnyFloats, AnyFloats]:
-        """Frequencies along the two plates."""
+        """Return the frequencies along the two plates."""
         if not self.turned:
             return rows, columns
         return (rows + columns) / math.sqrt(2), (rows - columns) / math.sqrt(2)
@@ -106,13 +107,13 @@ class LowPass(Part):
 
 
 def _split(square: float, frequency: AnyFloats) -> AnyFloats:
-    """cos(pi s w) of s^2."""
+    """Return cos(pi s w) as a function of s^2."""
     angle = np.pi * math.sqrt(abs(square)) * frequency
     return np.asarray(np.cos(angle) if square >= 0 else np.cosh(angle))
 
 
 def _split_slope(square: float, frequency: AnyFloats) -> AnyFloats:
-    """Its derivative by s^2, -(pi w)^2 / 2 times the sine over its angle."""
+    """Return the derivative of `_split` by s^2: -(pi w)^2 / 2 times the sine over its angle."""
     angle = np.pi * math.sqrt(abs(square)) * frequency
     tiny = np.abs(angle) < 1e-4
     safe = np.where(tiny, 1.0, angle)

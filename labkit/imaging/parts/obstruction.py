@@ -1,4 +1,4 @@
-"""A disc in the middle of the pupil that lets no light through, such as a mirror lens's second mirror."""
+"""An obstruction: a disc in the middle of the pupil without light, such as a mirror lens's second mirror."""
 
 from __future__ import annotations
 

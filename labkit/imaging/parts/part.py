@@ -22,19 +22,23 @@ UNIT = re.compile(r"_(px2?|nm|deg)$")
 
 
 class Part(Estimated):
-    """A part of the camera that blurs, or of the lens. With all of its numbers 0 it does nothing; those of a blur are
-    variances, not widths.
+    """A part of the camera or of the lens that blurs; with all numbers 0 it does nothing.
 
-    Most parts multiply the transfer function of lens and pixel: `transfer` and `slopes`. A part of the light adds up the
-    PSFs of several wavelengths instead: `light` and `light_slopes`. A part of the pupil shapes its rim: `onto`.
+    The numbers of a blur are variances, not widths. Most parts multiply the transfer
+    function of lens and pixel: `transfer` and `slopes`. A part of the light adds up the
+    PSFs of several wavelengths instead: `light` and `light_slopes`. A part of the pupil
+    shapes its rim: `onto`.
 
     Attributes
     ----------
-    reach_px : distance from a point's image within which a model must keep its light, pixels
-    broadest : the broadest spectrum that an estimate may reach; None for a part that is not of the light
+    reach_px : distance from a point's image within which a model must keep its light,
+        pixels
+    broadest : the broadest spectrum that an estimate may reach; None for a part that is not
+        of the light
     of_rim : whether the part shapes the pupil's rim
-    sought : whether fits look for the part by a score test where a plan does not state it
-    far : whether numbers are so far from 0 that a score test there tells too little of what the part gains
+    sought : whether fits test for the part by a score test if a plan does not state it
+    far : whether the numbers are so far from 0 that a score test at 0 hardly shows the
+        part's gain
     kind : parts of one kind other than "" exclude each other: a lens has one diaphragm
     """
 
@@ -58,12 +62,15 @@ class Part(Estimated):
         return (1.0,) * len(self.labels)
 
     def begun(self, before: Sequence[Part]) -> Self:
-        """Return the part with the numbers that a fit begins with. before: parts in the model of the fit before."""
+        """Return the part with the start values of a fit.
+
+        before: parts in the model of the previous fit
+        """
         return self
 
     @property
     def idle(self) -> bool:
-        """Whether the part leaves the transfer function behind the lens as it is."""
+        """Whether the part leaves the transfer function behind the lens unchanged."""
         return not any(self.values)
 
     def transfer(self, rows: AnyFloats, columns: AnyFloats) -> AnyFloats:
@@ -93,21 +100,21 @@ class Part(Estimated):
         return ()
 
     def onto(self, rim: Rim) -> Rim:
-        """Return the pupil's rim with this part; most parts leave it as it is."""
+        """Return the pupil's rim with this part; most parts leave the rim unchanged."""
         return rim
 
     @abstractmethod
     def stated(self, plan: Plan, channel: Channel) -> tuple[Self, bool] | None:
-        """Return the part as a plan states it for a channel, and whether fits estimate it; None where it does not."""
+        """Return a channel's part as a plan states it, and whether fits estimate its numbers; else None."""
 
     @abstractmethod
     def from_quantities(
         self, found: Mapping[str, Uncertain], channel: Channel | None = None
     ) -> Self | None:
-        """Return the part that has some `quantities`; None where they are not there or not finite."""
+        """Return the part with some `quantities`; None if they are missing or not finite."""
 
     def finding(self, found: Mapping[str, Uncertain]) -> str:
-        """Say that the photographs call for the part, and with what quantities."""
+        """Return the sentence of a warning that the photographs show the part, with its quantities."""
         numbers = ", ".join(
             f"{UNIT.sub('', key)} {value}" for key, value in self.own(found).items()
         )

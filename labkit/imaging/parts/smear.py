@@ -1,4 +1,4 @@
-"""A camera or a rail that shakes during the exposure: a Gaussian in one direction."""
+"""Shake of the camera or the rail during the exposure: a Gaussian in one direction."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ class SpectrumWidth(Part):
         return Spectrum.of_width(self.variance)
 
     def light_slopes(self) -> tuple[Mapping[float, float], ...]:
-        """By central differences, one-sided where the variance can grow no more."""
+        """Return central differences, one-sided if the variance can grow no more."""
         step = max(STEP * abs(self.variance), LEAST_STEP)
         above, below = min(self.variance + step, MOST), max(self.variance - step, -MOST)
         slopes = defaultdict[float, float](float)

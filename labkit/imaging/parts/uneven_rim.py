@@ -1,4 +1,6 @@
-"""A pupil that is oval or three-sided, such as an oblique or a vignetted one, to first order of its departure from a circle."""
+"""An oval or three-sided pupil, such as an oblique or a vignetted one, to first order of its departure from a
+circle.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Stray light: a share of all light that a lens's surfaces and barrel spread broadly."""
+"""Veiling glare: a share of all light that a lens's surfaces and barrel scatter widely."""
 
 from __future__ import annotations
 
@@ -23,10 +23,11 @@ NARROWEST_PX, BROADEST_PX = 3.0, 100.0
 
 @dataclass(frozen=True, slots=True)
 class Veil(Part):
-    """exp(-r / scale_px), r the distance in pixels, that holds a share of the light: scattered light falls off by long tails.
+    """Veiling glare exp(-r / scale_px), r the distance in pixels, with a share of the light.
 
-    The scale moves nothing where the share is 0; there it stays the usual one. Of a usual veil 83 % stays within its reach; the
-    light that goes farther is nearly even.
+    Scattered light has long tails. A share of 0 leaves the scale undetermined; then the
+    usual scale holds. Of a usual glare 83 % stays within its reach; the light beyond is
+    nearly even.
     """
 
     share: float = 0.0
