@@ -1,4 +1,4 @@
-"""A target on paper: `manual:` asks the operator to put it, or a white sheet, before the camera."""
+"""A target on paper: `manual:` asks the operator to put the target, or a white sheet, before the camera."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ TARGET = "Put the target before the camera, flat, wholly in the frame"
 
 
 def open_display(address: str, plan: Plan, context: DeviceContext) -> ManualDisplay:
-    """The display of manual:. Raises PlanError."""
+    """Open the display of manual:. Raises PlanError."""
     if address != "manual:":
         raise PlanError(f'display.address = "{address}": allowed is manual:')
     panel = paper_panel(open_target(plan.target))
@@ -28,7 +28,8 @@ def open_display(address: str, plan: Plan, context: DeviceContext) -> ManualDisp
 class ManualDisplay(ClosesItself):
     """A Display that is a person with two sheets.
 
-    ask: puts a request and returns when it is done; panel: paper as a simulated camera sees it, whom `glass` has look.
+    ask: makes a request and returns when done; panel: paper as a simulated camera sees it;
+    glass: reports the picture to such a camera.
     """
 
     on_paper = True
@@ -47,8 +48,11 @@ class ManualDisplay(ClosesItself):
         return self._panel
 
     def show(self, picture: Picture) -> Shown:
-        """Have the white sheet put there, or the target for any other picture, unless it is there; black asks for nothing, for
-        dark frames are taken with the cap on. Raises what `ask` raises."""
+        """Ask for the white sheet, or for the target with any other picture, unless it is there.
+
+        Black needs no request, because dark frames are taken with the cap on. Raises the
+        errors of `ask`.
+        """
         if not isinstance(picture, str) or picture == "white":
             wanted = SHEET if isinstance(picture, str) else TARGET
             if wanted != self._there:
@@ -63,4 +67,4 @@ class ManualDisplay(ClosesItself):
         )
 
     def close(self) -> None:
-        """Nothing to let go."""
+        """Do nothing."""

@@ -1,4 +1,4 @@
-"""A rail without a motor: `manual:` asks the operator to set it, and to type what its scale reads."""
+"""A rail without a motor: `manual:` asks the operator to set the rail, and to type the reading of its scale."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SCALE = Travel(-1e6, 1e6)
 
 
 def open_rail(address: str, plan: Plan, context: DeviceContext) -> ManualRail:
-    """The rail of manual:. Raises PlanError."""
+    """Open the rail of manual:. Raises PlanError."""
     if plan.rail is None or address != "manual:":
         raise PlanError(f'rail.address = "{address}": allowed is manual:')
     return ManualRail(context.operator.ask, plan.rail.run_up_mm, plan.rail.range_mm)
@@ -45,16 +45,17 @@ class ManualRail(ClosesItself):
 
     @property
     def travel_mm(self) -> Travel:
-        """Nothing is known of it: the person sees where it ends."""
+        """Unlimited travel: the person sees where the rail ends."""
         return SCALE
 
     def home(self) -> None:
-        """A scale has no zero to be found."""
+        """Do nothing: a scale has no zero to find."""
 
     def move_to(self, position_mm: float) -> float:
-        """Have it set; what the scale reads then, in mm.
+        """Ask the operator to set the rail, and return the scale's reading, in mm.
 
-        Raises RailLimitError outside the travel, RailError without a usable answer, and what `ask` raises.
+        Raises RailLimitError outside the travel, RailError without a usable answer, and the
+        errors of `ask`.
         """
         if not SCALE.low_mm <= position_mm <= SCALE.high_mm:
             raise RailLimitError(
@@ -83,7 +84,7 @@ class ManualRail(ClosesItself):
         )
 
     def _slip(self, at_mm: float, position_mm: float) -> str:
-        """Say what is wrong with a reading."""
+        """Describe the fault of a reading."""
         if self._range_mm is not None:
             range_mm = self._range_mm(position_mm)
             if abs(at_mm - range_mm) <= TAPE_MM:
@@ -91,7 +92,7 @@ class ManualRail(ClosesItself):
         return f"{at_mm:g} mm is more than {NEAR_MM:g} mm away"
 
     def stop(self) -> None:
-        """A person stops by themselves."""
+        """Do nothing: a person stops by themselves."""
 
     def close(self) -> None:
-        """Nothing to let go."""
+        """Do nothing."""

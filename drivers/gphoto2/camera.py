@@ -1,8 +1,9 @@
-"""Any camera that libgphoto2 drives. Address: "gphoto2:" for the only one on USB, "gphoto2:usb:001,004", or for one on a
-network, by PTP/IP, "gphoto2:ptpip:192.168.1.5".
+"""Any camera that libgphoto2 drives. Address: "gphoto2:" for the only camera on USB, "gphoto2:usb:001,004", or
+on a network, by PTP/IP, "gphoto2:ptpip:192.168.1.5".
 
-libgphoto2 runs in a process of its own (`worker`): when it hangs, crashes or loses the camera, the camera is
-let go, looked for again, reset on USB if need be, opened and set as before, a bounded number of times.
+libgphoto2 runs in a separate process (`worker`). When it hangs, crashes or loses the
+camera, the camera is released, searched again, reset on USB if necessary, opened and set as
+before, a bounded number of times.
 """
 
 from __future__ import annotations
@@ -87,7 +88,7 @@ LOW_PERCENT, EMPTY_PERCENT = 20.0, 5.0
 
 
 def open_camera(address: str, plan: Plan, context: DeviceContext) -> Gphoto2Camera:
-    """The camera at that address, opened when it is first needed. Raises PlanError."""
+    """Return the camera at an address, opened at its first use. Raises PlanError."""
     port = address.partition(":")[2]
     if port and not re.fullmatch(r"usb:\d+,\d+", port) and not _network_port(port):
         raise PlanError(
@@ -108,7 +109,10 @@ def open_camera(address: str, plan: Plan, context: DeviceContext) -> Gphoto2Came
 
 
 def _network_port(port: str) -> str:
-    """A camera's address on a network as libgphoto2 takes it; empty if it is none. One port number serves both connections."""
+    """Return a camera's network address in libgphoto2's form; empty for other addresses.
+
+    One port number serves both connections.
+    """
     found = re.fullmatch(r"ptpip:([\d.]+)((?::\d{1,5}){0,2})", port)
     try:
         host = str(IPv4Address(found[1])) if found else ""
@@ -119,7 +123,10 @@ def _network_port(port: str) -> str:
 
 
 def find_cameras() -> list[tuple[str, str]]:
-    """(address, model) of every camera on USB that libgphoto2 knows, its virtual one too. Raises CameraError."""
+    """Return (address, model) of every camera on USB that libgphoto2 knows, its virtual camera too.
+
+    Raises CameraError.
+    """
     if find_spec("gphoto2") is None:
         raise CameraError("the package gphoto2 is missing: pip install gphoto2")
     link = Link()
@@ -145,9 +152,10 @@ def _has_libusb() -> bool:
 class Gphoto2Camera(ClosesItself):
     """A Camera, Adjustable, Checkable, Candid and Previewing.
 
-    port: "usb:001,004", "ptpip:192.168.1.5", or "" for the only one on USB; f_number: to be set where the body lets it; keep:
-    photographs go to the card and stay there; wait: how to wait, in seconds; link: to libgphoto2; release_s: longest time from
-    the end of an exposure to its file.
+    port: "usb:001,004", "ptpip:192.168.1.5", or "" for the only camera on USB; f_number: to
+    set if the body allows; keep: photographs go to the card and stay there; wait: function
+    that waits, in seconds; link: to libgphoto2; release_s: longest time from the end of an
+    exposure to its file.
     """
 
     def __init__(
@@ -179,12 +187,12 @@ class Gphoto2Camera(ClosesItself):
         return self._port.startswith("ptpip:")
 
     def overcome(self) -> tuple[str, ...]:
-        """Trouble that it has got over by itself since this was asked last."""
+        """Describe the faults recovered from since the last call."""
         overcome, self._overcome = tuple(self._overcome), []
         return overcome
 
     def identify(self) -> CameraInfo:
-        """Who it is; finds it again if it had dropped off."""
+        """Return model and serial number, after reconnecting if necessary."""
 
         def ask() -> CameraInfo:
             self._state()
@@ -194,18 +202,20 @@ class Gphoto2Camera(ClosesItself):
         return self._doing("finding the camera", ask)
 
     def configure(self, settings: ExposureSettings) -> None:
-        """Set exposure, aperture, raw format, where photographs go, and all that must be off. Raises CameraError."""
+        """Set exposure, aperture, raw format and storage, and switch off automatic functions. Raises
+        CameraError.
+        """
         self._exposure, self._wanted = settings, None
         self._doing("setting the camera", self._set_all)
 
     def expose(self, path: Path) -> RawFrame:
-        """Expose once into `path` with the raw format's suffix after it; as the body is set, if not configured."""
+        """Expose once into `path` plus the raw format's suffix; without `configure`, with the body's settings."""
         return self._doing(
             f"photographing {path.name}", lambda: self._expose(path), path.parent
         )
 
     def preview(self, path: Path) -> Path | None:
-        """A picture of its live view, written to `path` with ".jpg" after it; None from a body that has none."""
+        """Write a picture of the live view to `path` plus ".jpg"; None from a body without live view."""
         made = path.with_name(f"{path.name}.jpg")
         try:
             self._doing(
@@ -218,11 +228,11 @@ class Gphoto2Camera(ClosesItself):
         return made
 
     def settings(self) -> tuple[Setting, ...]:
-        """Everything the body offers."""
+        """Return all settings of the body."""
         return self._doing("listing the camera's settings", self._list)
 
     def check(self, frames: int) -> Check:
-        """Battery, and the card if photographs are to stay on it; what to look at by hand."""
+        """Check the battery, and the card if photographs stay on it; list what to check by hand."""
         problems = []
         state = self._doing("asking the camera for battery and storage", self._state)
         charge = percent_of(state.get("battery"))
@@ -245,7 +255,7 @@ class Gphoto2Camera(ClosesItself):
     def _doing(
         self, what: str, action: Callable[[], Result], folder: Path | None = None
     ) -> Result:
-        """Do something with the open camera; on trouble recover and do it again, a bounded number of times."""
+        """Use the open camera; on trouble recover and try again, a bounded number of times."""
         pauses = iter((*PAUSES_S, None))
         for attempt, pause_s in enumerate(pauses, 1):
             try:
@@ -263,7 +273,7 @@ class Gphoto2Camera(ClosesItself):
         raise AssertionError("unreachable: the last attempt returns or raises")
 
     def _let_go(self, code: int, attempt: int) -> None:
-        """Close the camera, and clear what keeps it from being opened again."""
+        """Close the camera, and remove obstacles to opening it again."""
         self._is_open = False
         if code == CLAIM:
             _unmount()
@@ -279,7 +289,7 @@ class Gphoto2Camera(ClosesItself):
             self._link.kill()
 
     def _open(self) -> None:
-        """Find and open the camera, and set it as it was before."""
+        """Find and open the camera, and restore its settings."""
         if self._is_open:
             return
         if self._on_network:
@@ -312,7 +322,7 @@ class Gphoto2Camera(ClosesItself):
         self._is_open = True
 
     def _choose(self, found: list[tuple[str, str]]) -> tuple[str, str]:
-        """The camera to open: at the port asked for; the only one; or, if it was open before, of the same model."""
+        """Return the camera to open: at the requested port; the only one; or, after a loss, of the same model."""
         listed = ", ".join(f"{model} at {port}" for model, port in found)
         if not found:
             raise Trouble(NO_CAMERA, "no camera found")
@@ -363,7 +373,10 @@ class Gphoto2Camera(ClosesItself):
         self._set_right()
 
     def _set_right(self) -> dict[str, Any]:
-        """Read back all that was set: bodies change settings by themselves, and one with another. The values."""
+        """Read back all settings made, and return the values.
+
+        Bodies change settings by themselves, or when another is set.
+        """
         if self._wanted is None:
             return {}
         asked = dict(self._wanted.changes)
@@ -381,7 +394,7 @@ class Gphoto2Camera(ClosesItself):
         _refuse_other(name, value, self._link.ask("set", ASK_S, name=name, value=value))
 
     def _state(self) -> dict[str, Any]:
-        """Battery and free storage, as far as the body reports it."""
+        """Return battery and free storage, as far as the body reports them."""
         state: dict[str, Any] = {}
         if "batterylevel" in self._body:
             state["battery"] = self._link.ask("read", ASK_S, names=["batterylevel"])[
@@ -432,7 +445,7 @@ class Gphoto2Camera(ClosesItself):
         return RawFrame(made, exposure_s, iso, {"camera_settings": meta})
 
     def _exposed(self, now: Mapping[str, Any]) -> tuple[float, int]:
-        """Shutter time and ISO of the next photograph: as set, or as the body reports, or as ordered."""
+        """Return shutter time and ISO of the next photograph: as set, or as the body reports, or as ordered."""
         values = {name: setting.value for name, setting in self._body.items()} | dict(now)
         seconds = next(
             (s for name in SHUTTER if name in values and (s := seconds_of(values[name]))),
@@ -450,7 +463,7 @@ class Gphoto2Camera(ClosesItself):
 def _error(
     what: str, trouble: Trouble, tries: int, on_network: bool
 ) -> CameraError | DeviceTimeoutError:
-    """A trouble as a line for people."""
+    """Return the error of a trouble, with a line for people."""
     text = str(trouble)
     if on_network and trouble.code in (IO, TIMEOUT, HUNG, GONE):
         text = f"{NO_ANSWER} (libgphoto2: {text})"

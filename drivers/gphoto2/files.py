@@ -1,4 +1,4 @@
-"""What came down the cable: checked for being whole and raw, typed by its content, put in its place."""
+"""Check transferred files: whole, raw, typed by content; then move them to their place."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ MAKERS = {
 
 
 def fresh_folder(folder: Path) -> Path:
-    """An empty folder for what comes down the cable."""
+    """Return an empty folder for transferred files."""
     incoming = folder / ".incoming"
     shutil.rmtree(incoming, ignore_errors=True)
     incoming.mkdir()
@@ -40,7 +40,10 @@ def clear_folder(folder: Path) -> None:
 
 
 def kept(files: list[dict[str, Any]], path: Path, wait_s: float) -> Path:
-    """The one raw file of an exposure, whole, moved to `path` with its suffix. Raises Trouble or CameraError."""
+    """Move the only raw file of an exposure, if whole, to `path` plus its suffix.
+
+    Raises Trouble or CameraError.
+    """
     for file in files:
         size = Path(file["path"]).stat().st_size
         if file["size"] is not None and size != file["size"]:
@@ -62,7 +65,7 @@ def kept(files: list[dict[str, Any]], path: Path, wait_s: float) -> Path:
 
 
 def _checked_suffix(raw: Path) -> str:
-    """The suffix of a raw file by its content, whatever the camera calls it. Raises Trouble for a damaged file."""
+    """Return the suffix of a raw file by its content, whatever its name. Raises Trouble for a damaged file."""
     try:
         container = recognise(raw)
         with opened_raw(raw) as opened:

@@ -1,4 +1,4 @@
-"""The near end of the pipe to the process that libgphoto2 runs in: starts it, sends it requests, ends it if it hangs."""
+"""The near end of the pipe to libgphoto2's process: starts the process, sends requests, kills it if it hangs."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ KILL_S = 5.0
 
 
 class Trouble(CameraError):  # noqa: N818
-    """The library failed. code: libgphoto2's, HUNG or DIED, 0 for what is none of these."""
+    """The library failed. code: libgphoto2's, HUNG or DIED, 0 for any other trouble."""
 
     def __init__(self, code: int, text: str) -> None:
         super().__init__(text)
@@ -44,7 +44,7 @@ class Trouble(CameraError):  # noqa: N818
 
 
 class Link:
-    """Asks one thing at a time. After HUNG or DIED the next question starts a new process."""
+    """Sends one request at a time. After HUNG or DIED the next request starts a new process."""
 
     def __init__(self, command: Sequence[str] = COMMAND) -> None:
         self._command = tuple(command)
@@ -79,7 +79,7 @@ class Link:
         return answer["value"]
 
     def kill(self) -> None:
-        """End the process, whatever it does."""
+        """Kill the process, whatever it does."""
         process, self._process = self._process, None
         if self._channel is not None:
             self._channel.close()
@@ -114,7 +114,7 @@ class Link:
         return self._channel
 
     def _last_words(self) -> str:
-        """How the process ended, and nothing left of it."""
+        """Describe the end of the process, and clear up after it."""
         process = self._process
         status = None
         if process is not None:

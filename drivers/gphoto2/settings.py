@@ -1,4 +1,4 @@
-"""What to set on a body for a measurement, out of what that body offers: names differ, values are words.
+"""Choose a body's settings for a measurement among those offered: names differ, values are words.
 
 Nothing here talks to a camera. Names of settings are libgphoto2's (camlibs/ptp2/config.c).
 """
@@ -38,9 +38,11 @@ LOSSY = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Insist:
-    """A setting that must have a value, under any of its names on different bodies; a body without it gets the line `by_hand`.
+    """A setting that must have a value, under any of its names; a body without the setting gets the line
+    `by_hand`.
 
-    value: the whole of a right value, whatever its case; switch: a right value that only a switch on the lens sets.
+    value: the whole of a right value, in any case of letters; switch: a right value that
+    only a switch on the lens sets.
     """
 
     names: tuple[str, ...]
@@ -73,7 +75,7 @@ INSISTED = (
 
 @dataclass(frozen=True, slots=True)
 class Bulb:
-    """An exposure timed here: what presses the shutter and what lets it go."""
+    """An exposure timed by the driver: the settings that press and release the shutter."""
 
     press: tuple[str, Choice]
     release: tuple[str, Choice]
@@ -81,7 +83,7 @@ class Bulb:
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """How a body is to be set. exposure_s: what its shutter then does; files: an exposure makes, None = unknown."""
+    """Settings for a body. exposure_s: of its shutter then; files: of an exposure, None = unknown."""
 
     changes: tuple[tuple[str, Choice], ...]
     exposure_s: float
@@ -96,7 +98,10 @@ def wanted(
     f_number: float | None,
     target: Literal["ram", "card"] = "ram",
 ) -> Wanted:
-    """Every setting that matters, as this body calls it. Raises CameraError, one line with all that cannot be."""
+    """Return every relevant setting in this body's terms.
+
+    Raises CameraError, one line with all impossible settings.
+    """
     problems: list[str] = []
     by_hand: list[str] = []
     changes: list[tuple[str, Choice]] = []
@@ -125,21 +130,21 @@ def wanted(
 
 
 def seconds_of(value: Choice) -> float | None:
-    """A shutter time: "1/50", "0.0200s", "1.3", "2''", "30 s"; None for "Bulb" and the like."""
+    """Parse a shutter time: "1/50", "0.0200s", "1.3", "2''", "30 s"; None for "Bulb" and the like."""
     return _fraction(
         re.fullmatch(r"([\d./]+)\s*(?:s|sec|\"|'')?", str(value).strip(), re.IGNORECASE)
     )
 
 
 def number_of(value: Choice) -> float | None:
-    """An aperture or sensitivity: "f/2.8", "2.8", "ISO 100", "100"; None for "Auto" and the like."""
+    """Parse an aperture or sensitivity: "f/2.8", "2.8", "ISO 100", "100"; None for "Auto" and the like."""
     return _fraction(
         re.fullmatch(r"(?:f/?|iso)?\s*([\d./]+)", str(value).strip(), re.IGNORECASE)
     )
 
 
 def percent_of(value: Any) -> float | None:
-    """A battery's charge: "50%"; None where the body has words for it."""
+    """Parse a battery's charge: "50%"; None for a body that uses words."""
     found = re.fullmatch(r"(\d+)\s*%", str(value).strip())
     return float(found[1]) if found else None
 
@@ -263,7 +268,7 @@ def _nearest(
 
 
 def _listed(offered: Mapping[float, tuple[str, Choice]], asked: float) -> str:
-    """The choices about what was asked, and the ends."""
+    """Return the choices around the request, and the extremes."""
     values = sorted(offered)
     near = sorted(sorted(values, key=lambda value: abs(value - asked))[:4])
     shown = sorted({values[0], *near, values[-1]})
@@ -292,7 +297,7 @@ def _bulb(body: Body, problems: list[str]) -> Bulb | None:
 def _format(
     body: Body, problems: list[str], by_hand: list[str]
 ) -> tuple[str, Choice] | None:
-    """Raw alone if there is such a choice, else raw with a JPEG beside it."""
+    """Return the choice of raw alone if there is one, else of raw with JPEG."""
     for setting in _first(body, FORMAT):
         if not setting.choices:
             continue

@@ -1,8 +1,9 @@
-"""libgphoto2 in a process of its own: one thread, one camera, one request at a time.
+"""libgphoto2 in a separate process: one thread, one camera, one request at a time.
 
-The library can hang or crash, and its handles belong to one thread; here it takes nothing with it. Requests and
-answers are JSON over a pipe (`link` is the other end). The process ends when the pipe does, and of
-itself when a request takes longer than it may: SIGALRM stops it even inside the library.
+The library can hang or crash, and its handles belong to one thread; in its own process it
+harms nothing else. Requests and answers are JSON over a pipe (`link` is the other end). The
+process ends with the pipe, and by itself when a request exceeds its time: SIGALRM ends it
+even inside the library.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ JPEG, HEIF = b"\xff\xd8", b"ftyphei"
 
 
 class StoppedError(Exception):
-    """The other end has spoken again, or is gone: what is being done is not wanted any more."""
+    """The other end sent a new request, or is gone: the present work is obsolete."""
 
 
 class Worker:
@@ -74,7 +75,7 @@ class Worker:
         }
 
     def find(self) -> list[list[str]]:
-        """[model, port] of every camera on USB."""
+        """Return [model, port] of every camera on USB."""
         found = self._gp.Camera.autodetect()
         return [[found.get_name(i), found.get_value(i)] for i in range(found.count())]
 
@@ -92,18 +93,18 @@ class Worker:
         return str(self._gp.gp_library_version(self._gp.GP_VERSION_SHORT)[0])
 
     def settings(self) -> list[dict[str, Any]]:
-        """Everything the body offers."""
+        """Return all settings of the body."""
         return list(self._leaves(self._patiently(self._camera.get_config)))
 
     def read(self, names: list[str]) -> dict[str, Any]:
-        """The values of some settings now."""
+        """Return the present values of some settings."""
         return {
             name: self._value(self._patiently(self._camera.get_single_config, name))
             for name in names
         }
 
     def set(self, name: str, value: Any) -> Any:
-        """Change a setting; what the body then says it is."""
+        """Change a setting, and return the value that the body then reports."""
         widget = self._patiently(self._camera.get_single_config, name)
         choices = self._choices(widget)
         if choices and value not in choices:  # some values crash the library
@@ -124,11 +125,12 @@ class Worker:
         live_view: bool = False,
         bulb: Any = None,
     ) -> dict[str, Any]:
-        """Take a photograph and fetch what comes of it into `folder`, each file numbered.
+        """Take a photograph and transfer its files into `folder`, each numbered.
 
-        files: how many will come, None if that is not known; keep: leave them in the camera as well; live_view: it can
-        be switched on, without which some Nikons refuse; bulb: seconds, and [name, value] to press and to release, for
-        an exposure timed here.
+        files: expected number, None if unknown; keep: leave them in the camera as well;
+        live_view: switch the live view on if possible, because some Nikons refuse without;
+        bulb: seconds, and [name, value] to press and to release, for an exposure timed
+        here.
         """
         strays = self._drain(keep)
         camera, gp = self._camera, self._gp
@@ -147,7 +149,7 @@ class Worker:
         Path(path).write_bytes(file.get_data_and_size())
 
     def storage(self) -> list[dict[str, Any]]:
-        """Free space of each store, in images and kilobytes, where the body reports it."""
+        """Return free space of each store, in images and kilobytes, if the body reports it."""
         gp, stores = self._gp, self._patiently(self._camera.get_storageinfo)
         return [
             {
@@ -162,7 +164,7 @@ class Worker:
         ]
 
     def reset(self, port: str) -> bool:
-        """Reset a device on USB, as pulling its plug would; whether it was there. Needs libusb."""
+        """Reset a device on USB, like pulling its plug, and return whether it was there. Needs libusb."""
         import usb.core
 
         self.close()
@@ -220,14 +222,14 @@ class Worker:
         return call(*args)
 
     def _event(self, wait_s: float) -> bool:
-        """Take an event if there is one; files that it announces are noted."""
+        """Take an event if there is one, and record the files it announces."""
         kind, data = self._camera.wait_for_event(max(1, round(1000 * wait_s)))
         if kind == self._gp.GP_EVENT_FILE_ADDED:
             self._added.append((data.folder, data.name))
         return bool(kind != self._gp.GP_EVENT_TIMEOUT)
 
     def _look(self, seconds: float) -> None:
-        """Take events for that long, or until the other end speaks."""
+        """Take events for a time, or until the other end sends a request."""
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0:
             if self._channel.poll():
@@ -236,7 +238,7 @@ class Worker:
                 time.sleep(min(left, POLL_S))
 
     def _drain(self, keep: bool) -> int:
-        """Take what is left over from before: files of an exposure that was given up must not pass for the next."""
+        """Take old files away: a file of an abandoned exposure must not pass for the next."""
         end = time.monotonic() + DRAIN_S
         while self._event(0) and time.monotonic() < end:
             pass
@@ -256,7 +258,7 @@ class Worker:
             self._patiently(self._camera.trigger_capture)
 
     def _hold(self, seconds: float, press: list[Any], release: list[Any]) -> None:
-        """An exposure timed here; the shutter is released whatever happens."""
+        """Time an exposure here, and release the shutter in any case."""
         try:
             self._put(*press)
             end = time.monotonic() + seconds
@@ -274,7 +276,7 @@ class Worker:
     def _collect(
         self, folder: Path, files: int | None, wait_s: float, keep: bool
     ) -> list[dict[str, Any]]:
-        """Fetch files as they are announced, at once: some bodies keep them only until the next exposure."""
+        """Transfer files at their announcement: some bodies keep them only until the next exposure."""
         found: list[dict[str, Any]] = []
         end = last = time.monotonic()
         end += wait_s
@@ -304,7 +306,7 @@ class Worker:
         return {"path": str(path), "name": place[1], "size": size, "raw": raw}
 
     def _forget(self, place: tuple[str, str], keep: bool) -> None:
-        """Free the camera's memory of a file; a body that has done so by itself may refuse."""
+        """Free the camera's memory of a file; a body that has freed the memory itself may refuse."""
         if not keep:
             try:
                 self._camera.file_delete(*place)

@@ -1,4 +1,4 @@
-"""Whether a GRBL controller answers at a serial port: it is asked for its state, and nothing moves."""
+"""Detect a GRBL controller at a serial port by asking for its state; nothing moves."""
 
 from __future__ import annotations
 

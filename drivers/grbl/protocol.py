@@ -1,4 +1,4 @@
-"""What a GRBL 1.1 or grblHAL controller sends: status reports, alarms, errors, settings. Text in, values out."""
+"""Parse the output of a GRBL 1.1 or grblHAL controller: status reports, alarms, errors, settings."""
 
 from __future__ import annotations
 
@@ -71,9 +71,10 @@ HAL_ORIGIN_AT_HOME = 8
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """A status report: state (Idle, Run, Hold:0 ...), where X stands in mm, and the work offset where it is reported.
+    """A status report: state (Idle, Run, Hold:0 ...), X in mm, and the work offset if reported.
 
-    `at_mm` is counted from the machine's zero if `is_machine`, else from the work zero: machine = work + offset.
+    `at_mm` counts from the machine's zero if `is_machine`, else from the work zero: machine
+    = work + offset.
     """
 
     state: str
@@ -83,7 +84,7 @@ class Report:
 
 
 def read_report(line: str) -> Report | None:
-    """The report in a line such as <Idle|MPos:-250.000,0.000,0.000|FS:0,0>; None if it is none, or is damaged."""
+    """Return the report in a line such as <Idle|MPos:-250.000,0.000,0.000|FS:0,0>; None if absent or damaged."""
     found = REPORT.fullmatch(line)
     if not found:
         return None
@@ -111,7 +112,7 @@ def unfit(settings: Mapping[int, float], is_hal: bool) -> str | None:
 
 
 def doubts(settings: Mapping[int, float]) -> tuple[str, ...]:
-    """Settings other than docs/guides/bench.md asks for, with which a rail runs all the same, in words."""
+    """Describe settings that differ from docs/guides/bench.md but do not prevent a rail from running."""
     found = []
     if (delay := settings.get(IDLE_DELAY, ALWAYS_ON)) != ALWAYS_ON:
         found.append(
@@ -142,7 +143,9 @@ def travel(settings: Mapping[int, float], is_hal: bool, options: str) -> Travel:
 
 
 def homing_s(settings: Mapping[int, float]) -> float:
-    """Longest that homing may take: three axes in two cycles, each searching 1.5 times the travel, then locating."""
+    """Return the longest time of homing: three axes in two cycles, each searching 1.5 times the travel, then
+    locating.
+    """
     search_s = 1.5 * settings[MAX_TRAVEL] / (settings[SEEK_RATE] / 60)
     locate_s = 10 * settings[PULL_OFF] / (settings[LOCATE_RATE] / 60)
     return 2 * (search_s + locate_s)

@@ -1,10 +1,12 @@
 """A rail on a GRBL 1.1 or grblHAL controller: grbl:/dev/ttyUSB0, or grbl:simulated.
 
-Rail positions are X in machine coordinates, in mm: negative everywhere, unless zero is set where the machine is homed.
+Rail positions are X in machine coordinates, in mm: negative everywhere, unless zero is set
+where the machine is homed.
 
-An `ok` means "queued", may come late, and after a reset may belong to a line long forgotten: no decision rests on one.
-A group of lines is over when the parser state, asked for after them by $G, comes back: GRBL works line by line, and a
-dwell before it waits for all motion. Where the carriage stands is taken from two equal Idle reports after that.
+An `ok` means "queued", may come late, and after a reset may belong to an old line: no
+decision rests on an `ok`. A group of lines is done when the parser state, requested after
+them by $G, arrives: GRBL works line by line, and a dwell before the request waits for all
+motion. The carriage's place is taken from two equal Idle reports afterwards.
 """
 
 from __future__ import annotations
@@ -34,7 +36,7 @@ KEPT = ("Idle", "Hold:0")
 
 
 def open_rail(address: str, plan: Plan, context: DeviceContext) -> GrblRail:
-    """The rail at grbl:PORT, or a simulated controller at grbl:simulated. Raises PlanError, RailError."""
+    """Open the rail at grbl:PORT, or a simulated controller at grbl:simulated. Raises PlanError, RailError."""
     rail = rail_settings(address, plan)
     path, after_close = open_port(address, plan, context)
     return GrblRail(path, rail.run_up_mm, after_close=after_close)
@@ -61,7 +63,7 @@ class GrblRail(SerialRail):
         self._wake()
 
     def check(self, frames: int) -> Check:
-        """What to look at by hand: settings that are not as docs/guides/bench.md asks."""
+        """List settings that differ from docs/guides/bench.md, for the user to check."""
         return Check(
             (), tuple(f"the rail's {words}" for words in grbl.doubts(self._settings))
         )
@@ -83,9 +85,9 @@ class GrblRail(SerialRail):
             self._homed = True
 
     def stop(self) -> None:
-        """Feed hold, then drop what is queued. A carriage that came to rest in hold keeps its position.
+        """Hold the feed, then drop queued lines. A carriage that came to rest in hold keeps its position.
 
-        May be called from another thread than the one that moves. Raises RailError, DeviceTimeoutError.
+        Any thread may call this. Raises RailError, DeviceTimeoutError.
         """
         if self._wire is None:
             return
@@ -102,7 +104,7 @@ class GrblRail(SerialRail):
             self._stopping = False
 
     def close(self) -> None:
-        """Stop what is under way and let the rail go; again does nothing."""
+        """Stop all motion and release the rail; again does nothing."""
         try:
             if self._under_way:
                 self.stop()
@@ -112,7 +114,7 @@ class GrblRail(SerialRail):
             super().close()
 
     def _has_braked(self) -> bool:
-        """Whether a feed hold has brought it to rest without loss."""
+        """Whether a feed hold has brought the carriage to rest without loss."""
         try:
             within_s = self._reply_s + grbl.moving_s(self._settings, 0.0)
             report = self._report(within_s, STANDING, in_hold=True)
@@ -148,7 +150,7 @@ class GrblRail(SerialRail):
             )
 
     def _wake(self) -> None:
-        """A controller in a known state, its queue empty, whatever was before."""
+        """Bring the controller to a known state with an empty queue."""
         if self._wire is None:
             self._open(self._begin)
         else:
@@ -159,7 +161,10 @@ class GrblRail(SerialRail):
         self._get_to_know()
 
     def _search(self) -> None:
-        """Home. Nothing else is sent before its ok: grblHAL may drop what comes meanwhile, and GRBL answers no "?"."""
+        """Home, and send nothing else before the ok.
+
+        grblHAL may drop other lines meanwhile, and GRBL answers no "?".
+        """
         self._under_way = True
         self._send(b"$H\n")
         deadline_s = time.monotonic() + grbl.homing_s(self._settings) + self._reply_s
@@ -171,9 +176,10 @@ class GrblRail(SerialRail):
             self._note(line)
 
     def _reset(self) -> None:
-        """Soft reset. What was queued, and any reply still on its way, ends with the banner that answers it.
+        """Reset softly. Queued lines, and pending replies, end with the banner in answer.
 
-        An Arduino restarts when its port is opened and sleeps through this; its own banner comes instead.
+        An Arduino restarts when its port is opened and sleeps through the reset; its own
+        banner comes instead.
         """
         for _ in range(2):
             self._send(RESET)
@@ -189,7 +195,7 @@ class GrblRail(SerialRail):
         )
 
     def _await_banner(self, within_s: float) -> bool:
-        """Whether the banner comes in time. Raises RailError for firmware that this driver does not know."""
+        """Whether the banner comes in time. Raises RailError for unknown firmware."""
         deadline_s = time.monotonic() + within_s
         while (line := self._line(deadline_s)) is not None:
             if found := grbl.BANNER.search(line):
@@ -199,7 +205,7 @@ class GrblRail(SerialRail):
         return False
 
     def _get_to_know(self) -> None:
-        """Firmware and settings. Raises RailError for settings that a rail cannot be driven with."""
+        """Read firmware and settings. Raises RailError for settings that prevent driving a rail."""
         lines = self._carry_out(["$I", "$$"], 0.0, watch=False)
         options = "".join(
             line[5:-1].partition(",")[0] for line in lines if line.startswith("[OPT:")
@@ -226,9 +232,11 @@ class GrblRail(SerialRail):
     def _carry_out(
         self, commands: Sequence[str], allowed_s: float, watch: bool = True
     ) -> list[str]:
-        """Send lines and return all that was received until the last is done, at most `allowed_s` and a reply's time.
+        """Send lines and return everything received until the last is done, at most `allowed_s` and a reply's
+        time.
 
-        watch: ask for reports meanwhile, and raise when they stay out. Raises RailError, DeviceTimeoutError.
+        watch: ask for reports meanwhile, and raise an error without answer. Raises
+        RailError, DeviceTimeoutError.
         """
         self._under_way = True
         self._send("".join(f"{command}\n" for command in (*commands, "$G")).encode())
@@ -254,7 +262,10 @@ class GrblRail(SerialRail):
         )
 
     def _rest(self) -> float:
-        """Where it stands, in mm: two Idle reports that agree. Raises RailError, DeviceTimeoutError."""
+        """Return the carriage's place in mm after two Idle reports that agree.
+
+        Raises RailError, DeviceTimeoutError.
+        """
         before_mm: float | None = None
         deadline_s = time.monotonic() + self._reply_s
         while time.monotonic() < deadline_s:
@@ -269,9 +280,9 @@ class GrblRail(SerialRail):
     def _report(
         self, within_s: float, states: Sequence[str], in_hold: bool = False
     ) -> grbl.Report | None:
-        """The next report of one of these states, asking until it comes; None if none comes in time.
+        """Return the next report of one of these states, asking until it comes; None if none comes in time.
 
-        in_hold: a hold is expected. Raises RailError for trouble.
+        in_hold: whether a hold is expected. Raises RailError for trouble.
         """
         deadline_s = time.monotonic() + within_s
         while (now_s := time.monotonic()) < deadline_s:
@@ -286,7 +297,7 @@ class GrblRail(SerialRail):
         return None
 
     def _note(self, line: str, in_hold: bool = False) -> grbl.Report | None:
-        """The report in a line, if it is one. Raises RailError for whatever reports trouble."""
+        """Return the report in a line, if any. Raises RailError for a line that reports trouble."""
         if grbl.BANNER.search(line):
             raise self._lost("restarted by itself")
         if found := grbl.ALARM.search(line):
@@ -314,6 +325,6 @@ class GrblRail(SerialRail):
         return None if self._offset_mm is None else report.at_mm + self._offset_mm
 
     def _hear_out(self) -> None:
-        """Take in what the controller has sent by itself."""
+        """Read unsolicited output of the controller."""
         while (line := self._line(0.0)) is not None:
             self._note(line)

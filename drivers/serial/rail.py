@@ -1,4 +1,4 @@
-"""What all rails on a serial line share: the line, found again after it was lost; travel; whether the position is known."""
+"""The common base of rails on a serial line: the line, reopened after a loss; travel; trust in the position."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TOLERANCE_MM = 0.02
 
 
 def rail_settings(address: str, plan: Plan) -> RailSettings:
-    """The [rail] of a plan whose address names a port, such as grbl:/dev/ttyUSB0. Raises PlanError."""
+    """Return the [rail] of a plan whose address names a port, such as grbl:/dev/ttyUSB0. Raises PlanError."""
     driver, _, path = address.partition(":")
     if plan.rail is None or not path:
         raise PlanError(
@@ -31,7 +31,11 @@ def rail_settings(address: str, plan: Plan) -> RailSettings:
 def open_port(
     address: str, plan: Plan, context: DeviceContext
 ) -> tuple[str, Callable[[], None]]:
-    """The port's device file, and what to call after use: grbl:simulated is a simulated controller's. Raises PlanError."""
+    """Return the port's device file, and a function to call after use; grbl:simulated starts a simulated
+    controller.
+
+    Raises PlanError.
+    """
     path = address.partition(":")[2]
     if path != "simulated":
         return path, lambda: None
@@ -40,12 +44,12 @@ def open_port(
 
 
 class SerialRail(ClosesItself):
-    """A line at `path`, opened by `_open`; whatever breaks it is raised as RailError and closes it.
+    """A line at `path`, opened by `_open`; any fault of the line raises RailError and closes it.
 
-    It must be homed before it moves, and again whenever its position is in doubt.
-    run_up_mm: each stop is approached upward over this distance, to remove backlash. reply_s: longest
-    silence. back_s: how long a port that was unplugged is waited for; the first time it has to be there. after_close:
-    what else is to be let go.
+    The rail must be homed before it moves, and again whenever its position is in doubt.
+    run_up_mm: each stop is approached upward over this distance, to remove backlash.
+    reply_s: longest silence. back_s: wait for an unplugged port; at the first opening the
+    port must be there. after_close: releases other parts.
     """
 
     NAME: ClassVar[str]
@@ -74,14 +78,14 @@ class SerialRail(ClosesItself):
 
     @property
     def travel_mm(self) -> Travel:
-        """Where it can go and still be approached from below, by the controller's own limits."""
+        """Positions within the controller's own limits that can be approached from below."""
         return Travel(self._reach.low_mm + self._run_up_mm, self._reach.high_mm)
 
     def move_to(self, position_mm: float) -> float:
-        """Go there from below; the position that the controller reports once it stands, in mm.
+        """Approach a position from below, and return the position in mm that the controller reports at rest.
 
-        Raises RailLimitError outside the travel; RailError when the position is not known, or was lost;
-        DeviceTimeoutError.
+        Raises RailLimitError outside the travel; RailError when the position is unknown, or
+        was lost; DeviceTimeoutError.
         """
         travel = self.travel_mm
         if not travel.low_mm <= position_mm <= travel.high_mm:
@@ -93,7 +97,7 @@ class SerialRail(ClosesItself):
             return self._approach(position_mm)
 
     def check_still(self) -> None:
-        """Raise RailError unless it stands where the last move left it; DeviceTimeoutError if it does not answer."""
+        """Raise RailError if the rail moved since the last move ended; DeviceTimeoutError without an answer."""
         with self._lock:
             self._check_ready()
 
@@ -106,7 +110,7 @@ class SerialRail(ClosesItself):
         return f"{self.NAME} at {self._path}"
 
     def _open(self, begin: Callable[[], None]) -> None:
-        """Open the line and do what has to be done first; closes it again if that fails."""
+        """Open the line and run the first commands; close the line again if they fail."""
         self._wire = SerialWire(
             self._path, self.BAUD, self._back_s if self._opened_before else 0.0
         )
@@ -124,11 +128,11 @@ class SerialRail(ClosesItself):
 
     @abstractmethod
     def _check_ready(self) -> None:
-        """Raise unless the carriage is known to stand where it was left."""
+        """Raise an error if the carriage's place is unknown."""
 
     @abstractmethod
     def _approach(self, position_mm: float) -> float:
-        """Go to a place within the travel, from below; where it then stands."""
+        """Approach a position within the travel from below, and return the measured position."""
 
     def _send(self, data: bytes) -> None:
         try:
@@ -138,7 +142,7 @@ class SerialRail(ClosesItself):
             raise
 
     def _line(self, deadline_s: float) -> str | None:
-        """The next line, or None at the deadline."""
+        """Return the next line, or None at the deadline."""
         try:
             return self._connected().line(deadline_s)
         except RailError:
@@ -157,6 +161,6 @@ class SerialRail(ClosesItself):
         self._wire = None
 
     def _lost(self, reason: str) -> RailError:
-        """The error to raise when the carriage may stand anywhere."""
+        """Return the error for a carriage at an unknown place."""
         self._homed = False
         return RailError(f"{self} {reason}; its position is lost: home it")

@@ -1,4 +1,4 @@
-"""A serial line to a controller: whole lines of text in, bytes out, every wait limited, every trouble one RailError."""
+"""A serial line to a controller: lines of text in, bytes out, every wait limited, every fault a RailError."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ LONGEST_LINE = 1024
 
 
 class SerialWire:
-    """A port opened for us alone. Raises RailError: no such port, no permission, held by another program.
+    """A port opened exclusively. Raises RailError: no such port, no permission, held by another program.
 
-    within_s: how long to go on trying, for a port that is being plugged in again.
+    within_s: time to keep trying, for a port being plugged in again
     """
 
     def __init__(self, path: str, baud: int, within_s: float = 0.0) -> None:
@@ -45,16 +45,16 @@ class SerialWire:
             time.sleep(AGAIN_S)
 
     def send(self, data: bytes) -> None:
-        """Write it all. Raises RailError when the line is gone, or takes nothing for two seconds."""
+        """Write all bytes. Raises RailError when the line is gone, or blocks for two seconds."""
         try:
             self._port.write(data)
         except (serial.SerialException, OSError, termios.error) as error:
             raise self._gone(error) from error
 
     def line(self, deadline_s: float) -> str | None:
-        """The next whole line without its end, or None at the deadline (of time.monotonic).
+        """Return the next whole line without its end, or None at the deadline (of time.monotonic).
 
-        Bytes that are not ASCII come as U+FFFD: a damaged line must not pass for another one.
+        Bytes that are not ASCII become U+FFFD: a damaged line must not pass for another.
         """
         while True:
             raw, end, rest = self._heard.partition(b"\n")
@@ -88,7 +88,7 @@ class SerialWire:
 
 
 def _why_not_open(path: str, error: Exception) -> str:
-    """Why a port does not open, and what to do."""
+    """Explain why a port does not open, and the remedy."""
     number = getattr(error, "errno", None)
     if number in (errno.ENOENT, errno.ENXIO, errno.ENODEV):
         ports = ", ".join(sorted(port.device for port in list_ports.comports())) or "none"

@@ -1,4 +1,4 @@
-"""What the address of a simulated bench orders: seed, lens and faults."""
+"""Parse the address of a simulated bench: seed, lens and faults."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ ALLOWED = (
 
 @dataclass(frozen=True, slots=True)
 class Orders:
-    """What an address orders of a bench; nothing by default."""
+    """Orders of an address for a bench; none by default."""
 
     seed: int = 1
     faults: tuple[Fault, ...] = ()
@@ -48,7 +48,7 @@ class Orders:
     stated_waves: Mapping[int, float] = field(default_factory=dict)
 
     def made(self, lens: TrueLens) -> TrueLens:
-        """The lens as it is ordered. Raises ValueError for a lens that cannot be."""
+        """Return the lens as ordered. Raises ValueError for an impossible lens."""
         return replace(
             lens,
             pupil=Pupil(**self.pupil),
@@ -58,14 +58,14 @@ class Orders:
 
 
 def ordered(address: str) -> Orders:
-    """Read an address such as "simulated:seed=3,lens.blades=7,camera.timeout=2,rail.stall=1x4".
+    """Parse an address such as "simulated:seed=3,lens.blades=7,camera.timeout=2,rail.stall=1x4".
 
-    Commas between numbers belong to the order that they stand in.
+    Commas between numbers belong to their order.
 
     Raises
     ------
     PlanError
-        for a word that is not understood, and for a lens that cannot be
+        for an unknown word, and for an impossible lens
     """
     orders = Orders()
     words = address.partition(":")[2]
@@ -82,7 +82,7 @@ def ordered(address: str) -> Orders:
 
 
 def _read(word: str, orders: Orders) -> Orders | None:
-    """Add an order to those before; None for a word that is not understood."""
+    """Return the orders with another word; None for an unknown word."""
     if found := SEED.fullmatch(word):
         return replace(orders, seed=int(found[1]))
     if found := LENS.fullmatch(word):
@@ -96,7 +96,7 @@ def _read(word: str, orders: Orders) -> Orders | None:
 
 
 def _with_lens(orders: Orders, name: str, written: list[str]) -> Orders | None:
-    """Add what is ordered of the lens; None for a name that is not known, or for other numbers than it has."""
+    """Return the orders with a property of the lens; None for an unknown name, or for wrong numbers."""
     if not all(NUMBER.fullmatch(number) for number in written):
         return None
     values = [float(number) for number in written]

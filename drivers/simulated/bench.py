@@ -1,9 +1,10 @@
 """The simulated world that the simulated camera, rail and display share.
 
-One seed settles all of it: what is fixed (aberration, pose, the panel's unevenness, each pixel's response) is drawn
-when the bench is made; noise is drawn for each frame by its name and scatter for each visit to a stop by the visit's
-number, so a capture that was interrupted goes on as if it had not been, unless a preflight visits stops in between. Time
-is a number here: nothing sleeps.
+One seed determines everything. Fixed properties (aberration, pose, the panel's unevenness,
+each pixel's response) are drawn when the bench is made; noise is drawn for each frame by
+its name, and scatter for each visit to a station by the visit's number. An interrupted
+capture therefore continues as if it had not been interrupted, unless a preflight visits
+stations in between. Time is a number here: nothing sleeps.
 """
 
 from __future__ import annotations
@@ -50,9 +51,10 @@ KEPT_PICTURES = 4
 
 
 class Bench:
-    """The bench: where the carriage stands, what is on the glass, and the photograph that makes.
+    """The bench: place of the carriage, picture on the glass, and the resulting photograph.
 
-    The public methods are what devices do to the world. `truth` is for demos and tests, and never for an estimator.
+    The public methods are the actions of devices. `truth` is for demos and tests, and never
+    for an estimator.
     """
 
     def __init__(self, settings: BenchSettings, faults: Sequence[Fault] = ()) -> None:
@@ -76,7 +78,7 @@ class Bench:
         self._draw()
 
     def trouble(self, device: str) -> str | None:
-        """Count a call to a device; the kind of fault that is due on it, if any."""
+        """Count a call to a device, and return the kind of its fault, if any."""
         self._calls[device] += 1
         call = self._calls[device]
         for fault in self._faults:
@@ -89,7 +91,7 @@ class Bench:
         self.clock_s += seconds
 
     def turn_screw(self, screw_mm: float, lost_mm: float = 0.0) -> None:
-        """Drive the rail's screw to a position; the carriage follows once the play is taken up, less what is lost."""
+        """Drive the rail's screw to a position; the carriage follows after the play, less lost steps."""
         rail = self.settings.rail
         self.wait(abs(screw_mm - self.screw_mm) / rail.speed_mm_per_s)
         self.screw_mm = screw_mm
@@ -98,7 +100,7 @@ class Bench:
         self.carriage_mm = min(max(self.carriage_mm, reached), reached + rail.play_mm)
 
     def stand(self, asked_mm: float) -> None:
-        """The carriage comes to rest: this stop's scatter and sideways wander are drawn."""
+        """Bring the carriage to rest, and draw the scatter and sideways wander of this station."""
         self._stops[asked_mm] += 1
         rng = self._generator("stop", f"{asked_mm:.4f}", str(self._stops[asked_mm]))
         self._asked_mm = asked_mm
@@ -107,24 +109,24 @@ class Bench:
         self._wander_px = (rng.uniform(-wander, wander), rng.uniform(-wander, wander))
 
     def trip_home_switch(self) -> None:
-        """Positions count from where the switch trips now: this homing's scatter is drawn."""
+        """Count positions from the home switch, with this homing's scatter."""
         self._homings += 1
         rng = self._generator("homing", str(self._homings))
         self._homing_mm = rng.normal(0, self.settings.rail.homing_scatter_mm)
 
     @property
     def counted_mm(self) -> float:
-        """Where the carriage stands beyond the place at which the home switch tripped: what an encoder sees."""
+        """Distance of the carriage from the home switch's last trip point: an encoder's reading."""
         return self.carriage_mm + self._scatter_mm
 
     @property
     def position_mm(self) -> float:
-        """Where the carriage truly stands."""
+        """True place of the carriage."""
         return self.counted_mm + self._homing_mm
 
     @property
     def range_mm(self) -> float:
-        """How far the panel's centre truly is from the lens's front principal plane, along its axis."""
+        """True distance of the panel's centre from the lens's front principal plane, along the axis."""
         rail = self.settings.rail
         return (
             rail.range_at_zero_mm + rail.tape_error_mm + rail.direction * self.position_mm
@@ -143,7 +145,7 @@ class Bench:
         self._codes[top : top + height, left : left + width] = picture
 
     def expose(self, exposure_s: float, iso: int, name: str) -> NDArray[np.uint16]:
-        """A photograph, (rows, cols) counts, of what stands before the camera now. `name` draws its noise."""
+        """Return a photograph, (rows, cols) counts, of the present scene. `name` draws its noise."""
         self.wait(exposure_s)
         sensor = self.settings.sensor
         rng = self._generator("frame", name)
@@ -163,7 +165,7 @@ class Bench:
 
     @property
     def truth(self) -> Truth:
-        """What is true of this bench and of the stops at which it took pictures."""
+        """The truth of this bench and of its photographed stations."""
         lens, sensor, tape_error_mm = (
             self.settings.lens,
             self.settings.sensor,
@@ -192,11 +194,13 @@ class Bench:
     def irradiance(
         self, colour: str, samples: int | None = None, halo_um: float | None = None
     ) -> Floats32:
-        """(rows, cols) blurred image of the glass in one colour as every pixel would see it, white = 1; noiseless."""
+        """Return the (rows, cols) blurred image of the glass in one colour at every pixel, white = 1;
+        noiseless.
+        """
         return self._photograph(colour, self._scene(*self._look(colour), samples, halo_um))
 
     def _draw(self) -> None:
-        """Everything that stays as it is while the bench lives."""
+        """Draw the constant properties of the bench."""
         lens, sensor, pose = self.settings.lens, self.settings.sensor, self.settings.pose
         rng = self._generator("fixed")
         self._modes = drawn_modes(lens, rng, self._generator("higher modes"))
@@ -236,7 +240,7 @@ class Bench:
         )
 
     def _colours(self) -> NDArray[np.str_]:
-        """(rows, cols) name of each pixel's colour."""
+        """Return (rows, cols) name of each pixel's colour."""
         sensor = self.settings.sensor
         if sensor.pattern == "mono":
             return np.full(
@@ -255,14 +259,14 @@ class Bench:
         return shares
 
     def _vignette(self) -> Floats:
-        """Light that reaches each pixel: falls with the square of the distance from a point near the middle."""
+        """Return the light at each pixel, falling with the square of the distance from a point near the middle."""
         rows, cols = self.settings.sensor.rows, self.settings.sensor.cols
         y = np.linspace(-1, 1, rows)[:, None] - 0.06
         x = np.linspace(-1, 1, cols)[None, :] + 0.04
         return 1 - self.settings.lens.vignetting * (x * x + y * y) / 2
 
     def _shine(self, x_mm: Floats, y_mm: Floats) -> Floats:
-        """How brightly the panel's places shine, about 1: five slow waves across the glass."""
+        """Return the relative brightness of the panel's places, about 1: five slow waves across the glass."""
         high, wide = (n * self.settings.panel.pitch_mm for n in self.settings.panel.pixels)
         vectors, phases = self._waves
         total = sum(
@@ -282,15 +286,17 @@ class Bench:
         return lit.astype(np.float32)[codes]
 
     def _lateral(self, colour: str) -> float:
-        """Size of a colour's picture, relative."""
+        """Return the relative size of a colour's image."""
         return 1 + self.settings.lens.lateral_colour.get(colour, 0.0)
 
     def _look(self, colour: str) -> tuple[float, Lit | None]:
-        """What sets a colour's scene apart from others': its size, and which part of the panel's pixels shines in it."""
+        """Return the properties of a colour's scene: its size, and the lit part of the panel's pixels."""
         return self._lateral(colour), self.settings.panel.lit(colour)
 
     def _to_pixels(self, lateral: float = 1.0) -> Floats:
-        """(3, 3): panel mm to pixels, by the camera's true pose at this stop: perspective from the entrance pupil."""
+        """Return the (3, 3) map from panel mm to pixels by the true pose here: perspective from the entrance
+        pupil.
+        """
         lens, sensor = self.settings.lens, self.settings.sensor
         focal_mm, pupils = lens.focal_length_mm, lens.pupil_magnification
         tangent_px = (
@@ -340,7 +346,7 @@ class Bench:
         )
 
     def _photograph(self, colour: str, scene: SceneTransform) -> Floats32:
-        """A scene through the lens in one colour, all of its light counted."""
+        """Return a scene through the lens in one colour, with all of its light."""
         psf, halo = psf_and_halo(self.settings, colour, self._waves_in(colour), scene.grid)
         total = psf.sum(dtype=float) + halo.sum(
             dtype=float
@@ -365,7 +371,9 @@ class Bench:
         )
 
     def _picture(self) -> Floats32:
-        """(rows, cols) what each pixel sees, white = 1, through its own colour; the latest few are kept."""
+        """Return (rows, cols) radiance in each pixel through its own colour, white = 1; the latest few are
+        kept.
+        """
         key = self._to_pixels().tobytes() + hashlib.sha256(self._codes.tobytes()).digest()
         if key not in self._seen:
             self._seen = dict(list(self._seen.items())[-KEPT_PICTURES + 1 :])
@@ -381,7 +389,7 @@ class Bench:
         return self._seen[key]
 
     def _mosaic(self) -> Floats32:
-        """Each pixel through its own colour."""
+        """Return the radiance in each pixel through its own colour."""
         sensor = self.settings.sensor
         if max(sensor.rows, sensor.cols) > MOST_AT_ONCE:
             return self._mosaic_in_tiles()
@@ -427,7 +435,7 @@ class Bench:
         return seen
 
     def _note_visit(self) -> None:
-        """The truth of this stop."""
+        """Record the truth of this station."""
         rail = self.settings.rail
         asked_mm = rail.range_at_zero_mm + rail.direction * self._asked_mm
         defocus = {
@@ -438,7 +446,7 @@ class Bench:
         self._visits[asked_mm] = Visit(asked_mm, self.range_mm, zero_mm, defocus, pose)
 
     def _fills_the_view(self) -> bool:
-        """Whether all the glass is one grey and reaches beyond everything the camera can see, its halo included."""
+        """Whether the glass is one grey and reaches beyond the camera's view, halo included."""
         if self._codes.min() != self._codes.max():
             return False
         rows, cols = self.settings.sensor.rows, self.settings.sensor.cols
@@ -451,7 +459,7 @@ class Bench:
         return bool(np.all(np.abs(right) < wide) and np.all(np.abs(down) < high))
 
     def _uniform(self) -> Floats32:
-        """A panel in one grey: only its unevenness is left to see, so slow that the blur changes nothing of it."""
+        """Return the image of a panel in one grey: only its unevenness, which blur does not change."""
         rows, cols = self.settings.sensor.rows, self.settings.sensor.cols
         level = self._radiance(self._codes[:1, :1])[0, 0]
         seen = np.empty((rows, cols), dtype=np.float32)
@@ -463,5 +471,5 @@ class Bench:
 
 
 def demo_bench(seed: int = 1) -> Bench:
-    """The bench of the demo: 70 mm, f/2.8, a carpet of 46.8 mm at 3.0 to 3.3 m."""
+    """Return the bench of the demo: 70 mm, f/2.8, a carpet of 46.8 mm at 3.0 to 3.3 m."""
     return Bench(replace(BenchSettings(), seed=seed))

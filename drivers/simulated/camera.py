@@ -1,4 +1,4 @@
-"""A camera on the simulated bench: photographs what its display shows from where its rail stands. Writes DNG."""
+"""A camera on the simulated bench: photographs its display from its rail's position. Writes DNG."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from labkit.plan import Plan
 
 
 def open_camera(address: str, plan: Plan, context: DeviceContext) -> SimulatedCamera:
-    """The camera of the context's bench. Raises PlanError."""
+    """Open the camera of the context's bench. Raises PlanError."""
     bench = shared_bench(context, address, plan)
     return SimulatedCamera(bench.part, release=bench.close)
 
@@ -43,7 +43,7 @@ class SimulatedCamera(SimulatedDevice):
         self._settings: ExposureSettings | None = None
 
     def identify(self) -> CameraInfo:
-        """Its model, and the bench's seed; plugs it in again if it dropped off."""
+        """Return the model and the bench's seed, after plugging the camera in again if necessary."""
         self._bench.camera_present = True
         return CameraInfo(
             model="labkit simulated bench",
@@ -52,12 +52,12 @@ class SimulatedCamera(SimulatedDevice):
         )
 
     def configure(self, settings: ExposureSettings) -> None:
-        """Set shutter time and ISO. Raises CameraError if it has dropped off."""
+        """Set shutter time and ISO. Raises CameraError if the connection is lost."""
         self._refuse_absent()
         self._settings = settings
 
     def expose(self, path: Path) -> RawFrame:
-        """Expose once into `path` with ".dng" (or ".tif" without a mosaic) after it."""
+        """Expose once into `path` plus ".dng" (or ".tif" without a mosaic)."""
         self._refuse_absent()
         if self._settings is None:
             raise CameraError(
@@ -80,7 +80,7 @@ class SimulatedCamera(SimulatedDevice):
         return self._write(path, self._settings)
 
     def see(self, picture: Picture) -> None:
-        """Another driver's display shows this now: it is on the bench's glass."""
+        """Put the picture of another driver's display on the bench's glass."""
         self._bench.light(
             pattern(picture, self._panel) if isinstance(picture, str) else picture
         )
@@ -91,11 +91,11 @@ class SimulatedCamera(SimulatedDevice):
         return PanelInfo(panel.pixels, panel.pitch_mm)
 
     def cover(self, closed: bool) -> None:
-        """Cap the lens, or take the cap off."""
+        """Put the cap on the lens, or take it off."""
         self._bench.covered = closed
 
     def close(self) -> None:
-        """Let it go; again does nothing."""
+        """Release the camera; again does nothing."""
         self._settings = None
         super().close()
 

@@ -1,4 +1,4 @@
-"""What the simulated camera, rail and display have in common: the bench that they are part of."""
+"""The common base of the simulated camera, rail and display: their bench."""
 
 from __future__ import annotations
 
@@ -20,5 +20,5 @@ class SimulatedDevice(ClosesItself):
         self._bench.wait(seconds)
 
     def close(self) -> None:
-        """Let it go; again does nothing."""
+        """Release the device; again does nothing."""
         self._release()

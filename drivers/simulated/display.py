@@ -14,7 +14,7 @@ from labkit.plan import Plan
 
 
 def open_display(address: str, plan: Plan, context: DeviceContext) -> SimulatedDisplay:
-    """The display of the context's bench. Raises PlanError."""
+    """Open the display of the context's bench. Raises PlanError."""
     bench = shared_bench(context, address, plan)
     return SimulatedDisplay(bench.part, release=bench.close)
 
@@ -24,13 +24,13 @@ class SimulatedDisplay(SimulatedDevice):
 
     @property
     def panel(self) -> PanelInfo:
-        """The glass, as its maker describes it."""
+        """The panel, as its maker describes it."""
         panel = self._bench.settings.panel
         stripes: Literal["rgb", "none"] = "none" if panel.layout == "none" else "rgb"
         return PanelInfo(panel.pixels, panel.pitch_mm, subpixels=stripes)
 
     def show(self, picture: Picture) -> Shown:
-        """Show it. Raises DisplayError if it is too large or the display has gone to sleep."""
+        """Show a picture. Raises DisplayError if it is too large or the display sleeps."""
         if self._bench.trouble("display") == "sleep":
             raise DisplayError(
                 "the simulated display went to sleep; wake it, and set Auto-Lock to never"

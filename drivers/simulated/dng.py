@@ -1,6 +1,8 @@
-"""Writes raw photographs: DNG for a colour mosaic, TIFF for a sensor without one. rawpy opens the DNG as any camera's.
+"""Write raw photographs: DNG for a colour mosaic, TIFF for a mono sensor. rawpy opens the DNG like any
+camera's.
 
-Tags of the DNG specification 1.4; shutter time and ISO stand in an Exif directory, where decoders look for them.
+Tags of the DNG specification 1.4; shutter time and ISO are in an Exif directory, where
+decoders expect them.
 """
 
 from __future__ import annotations
@@ -30,10 +32,11 @@ BYTE, ASCII, SHORT, LONG, RATIONAL, SRATIONAL = 1, 2, 3, 4, 5, 10
 
 @dataclass(frozen=True, slots=True)
 class RawTags:
-    """What a raw file says of itself.
+    """Metadata of a raw file.
 
-    pattern: the 2x2 cell read row by row, e.g. "GBRG", or "mono"; black_level: one number, or one for each place of the
-    cell; orientation: the TIFF flag 1..8, a wish of the viewer's that leaves the samples as they are.
+    pattern: the 2x2 cell read row by row, e.g. "GBRG", or "mono"; black_level: one number,
+    or one for each place of the cell; orientation: the TIFF flag 1..8, for viewers only,
+    which leaves the samples unchanged.
     """
 
     pattern: str = "RGGB"
@@ -80,7 +83,7 @@ def write_raw(path: Path, counts: NDArray[np.uint16], tags: RawTags) -> None:
 
 
 def _append_exif(file: io.BytesIO, tags: RawTags) -> None:
-    """Put an Exif directory at the end of a little-endian TIFF, and its place into the entry kept for it."""
+    """Append an Exif directory to a little-endian TIFF, and write its offset into the entry reserved for it."""
     entries = []
     at = file.seek(0, io.SEEK_END)
     at += at % 2
@@ -110,7 +113,9 @@ def _camera_tags(tags: RawTags) -> list[tuple[int, int, int, object, bool]]:
 
 
 def _mosaic_tags(tags: RawTags) -> list[tuple[int, int, int, object, bool]]:
-    """What makes the file a DNG: colour cell, levels, and a colour matrix (the identity: colours mean nothing here)."""
+    """Return the tags of a DNG: colour cell, levels, and a colour matrix (the identity: colours mean nothing
+    here).
+    """
     black = (
         tags.black_level if isinstance(tags.black_level, tuple) else (tags.black_level,) * 4
     )

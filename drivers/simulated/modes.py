@@ -1,4 +1,4 @@
-"""The lens's fixed aberration: what is stated of it, and what is drawn."""
+"""The lens's fixed aberration: stated and drawn modes."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ Modes = dict[str, dict[int, float]]
 def drawn_modes(
     lens: TrueLens, rng: np.random.Generator, higher: np.random.Generator
 ) -> Modes:
-    """Modes of every colour, in Noll's order; `higher` draws those of the orders beyond the usual ones.
+    """Return the modes of every colour, in Noll's order; `higher` draws modes of the higher orders.
 
-    A mode that is drawn twice is the usual one, and a mode that is stated is the stated one.
+    If a mode is drawn twice the usual draw counts, and a stated mode is as stated.
     """
     usual = _random_modes(lens, lens.noll, lens.aberration_waves, rng)
     modes = usual
@@ -31,7 +31,7 @@ def drawn_modes(
 def _random_modes(
     lens: TrueLens, noll: Sequence[int], waves_rms: float, rng: np.random.Generator
 ) -> Modes:
-    """Modes of that RMS in every colour, most of which all colours share."""
+    """Return modes of an RMS in every colour, largely common to all colours."""
     shared, modes = rng.normal(size=len(noll)), Modes()
     for colour in lens.wavelength_nm:
         own = shared + lens.colour_share * rng.normal(size=shared.size)

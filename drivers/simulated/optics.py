@@ -1,11 +1,12 @@
 """The true lens of the simulated bench: Zernike modes, defocus against range, pupils, diffraction.
 
-Written without labkit.optics and labkit.imaging, which it is there to test.
+Written without labkit.optics and labkit.imaging, which it tests.
 
-Conventions. Pupil coordinates (u right, v down) run as columns and rows do on the sensor; theta is measured from
-u towards v. The field is ``g(x) = sum A(w) exp(2 pi i phi(w)) exp(-2 pi i w.x)``, the transform of the pupil as in
-the diffraction integral: a path that grows to the right throws light to the right. The wavefront ``phi`` is in waves of
-the light's own length. Defocus (Noll 4) is positive for a target beyond best focus.
+Conventions. Pupil coordinates (u right, v down) run as columns and rows do on the sensor;
+theta is measured from u towards v. The field is ``g(x) = sum A(w) exp(2 pi i phi(w)) exp(-2
+pi i w.x)``, the transform of the pupil as in the diffraction integral: a path that grows to
+the right moves light to the right. The wavefront ``phi`` is in waves of the light's own
+length. Defocus (Noll 4) is positive for a target beyond best focus.
 """
 
 from __future__ import annotations
@@ -22,7 +23,10 @@ from labkit.types import Floats, Floats32
 
 
 def noll_to_nm(j: int) -> tuple[int, int]:
-    """Radial order n and azimuthal order m of Noll's mode j; m < 0 for the sine modes. Raises ValueError for j < 1."""
+    """Return radial order n and azimuthal order m of Noll's mode j; m < 0 for the sine modes.
+
+    Raises ValueError for j < 1.
+    """
     if j < 1:
         raise ValueError(f"Noll's modes are counted from 1, not {j}")
     n = 0
@@ -34,7 +38,8 @@ def noll_to_nm(j: int) -> tuple[int, int]:
 
 
 def zernike(j: int, u: Floats, v: Floats) -> Floats:
-    """Noll's mode j, unit RMS over the disc, at pupil coordinates (u right, v down). Shapes as given; unitless.
+    """Return Noll's mode j, unit RMS over the disc, at pupil coordinates (u right, v down). Shapes as given;
+    unitless.
 
     Thesis (2.39)-(2.41), (2.40) corrected: (n - k)! in the radial polynomial.
     """
@@ -42,9 +47,11 @@ def zernike(j: int, u: Floats, v: Floats) -> Floats:
 
 
 def wavefront(waves: Mapping[int, float], u: Floats, v: Floats) -> Floats:
-    """The path of Noll's modes {mode: waves RMS} at pupil coordinates (u right, v down), waves. Shapes as given.
+    """Return the path of Noll's modes {mode: waves RMS} at pupil coordinates (u right, v down), waves. Shapes
+    as given.
 
-    Modes of one azimuthal order m share r^m cos(m theta) and r^m sin(m theta), and are summed as polynomials of r^2.
+    Modes of one azimuthal order m share r^m cos(m theta) and r^m sin(m theta), and are
+    summed as polynomials of r^2.
     """
     by_order: dict[int, Floats] = {}
     for mode, amount in waves.items():
@@ -63,7 +70,7 @@ def wavefront(waves: Mapping[int, float], u: Floats, v: Floats) -> Floats:
 
 
 def _radial(j: int) -> tuple[int, Floats]:
-    """The azimuthal order of Noll's mode j, and the coefficients of its radial polynomial over r^|m|, by powers of r^2."""
+    """Return the azimuthal order of Noll's mode j, and its radial polynomial over r^|m|, by powers of r^2."""
     n, signed = noll_to_nm(j)
     m = abs(signed)
     half = (n - m) // 2
@@ -82,10 +89,12 @@ def defocus_waves(
     pupil_magnification: float,
     reference_nm: float = 450.0,
 ) -> float:
-    """Defocus (Noll 4, waves RMS at reference_nm) of a target at range_mm; positive beyond best focus.
+    """Return the defocus (Noll 4, waves RMS at reference_nm) of a target at range_mm; positive beyond best
+    focus.
 
-    The sagittae of two spheres about the exit pupil, which sits (1 - mp) f nearer to the image than the rear
-    principal plane. Thesis (4.40) with its sign corrected.
+    The defocus is the difference of the sagittae of two spheres about the exit pupil, which
+    is (1 - mp) f nearer to the image than the rear principal plane. Thesis (4.40) with its
+    sign corrected.
     """
 
     half_pupil = pupil_magnification * focal_length_mm / f_number / 2
@@ -104,21 +113,24 @@ def defocus_waves(
 
 
 def image_mm(range_mm: float, focal_length_mm: float) -> float:
-    """How far behind the rear principal plane a range comes to focus, mm."""
+    """Return the distance from the rear principal plane to the image of a range, mm."""
     return range_mm * focal_length_mm / (range_mm - focal_length_mm)
 
 
 def exit_pupil_to_image_mm(
     range_mm: float, focal_length_mm: float, pupil_magnification: float
 ) -> float:
-    """How far behind the exit pupil a range comes to focus, mm. Thesis (E.2)."""
+    """Return the distance from the exit pupil to the image of a range, mm. Thesis (E.2)."""
     return image_mm(range_mm, focal_length_mm) + (pupil_magnification - 1) * focal_length_mm
 
 
 def entrance_pupil_to_target_mm(
     range_mm: float, focal_length_mm: float, pupil_magnification: float
 ) -> float:
-    """How far before the entrance pupil a target at a range stands, mm; ranges count from the front principal plane."""
+    """Return the distance from the entrance pupil to a target at a range, mm.
+
+    Ranges count from the front principal plane.
+    """
     return range_mm - focal_length_mm + focal_length_mm / pupil_magnification
 
 
@@ -128,9 +140,10 @@ def working_f_number(
     focal_length_mm: float,
     pupil_magnification: float,
 ) -> float:
-    """f-number of the cone that meets at the sensor: its height over the exit pupil's diameter. f_number: at infinity.
+    """Return the working f-number: the image distance over the exit pupil's diameter.
 
-    The sensor stands where best_focus_mm comes to focus, wherever the target may be.
+    f_number: at infinity. The sensor is at the image of best_focus_mm, whatever the
+    target's range.
     """
     height_mm = exit_pupil_to_image_mm(best_focus_mm, focal_length_mm, pupil_magnification)
     return height_mm / (pupil_magnification * focal_length_mm / f_number)
@@ -139,9 +152,10 @@ def working_f_number(
 def image_per_tangent_mm(
     best_focus_mm: float, focal_length_mm: float, pupil_magnification: float
 ) -> float:
-    """Height at the sensor, mm, of a chief ray that enters with unit tangent to the axis.
+    """Return the height at the sensor, mm, of a chief ray that enters with unit tangent to the axis.
 
-    It goes from centre to centre of the pupils, and leaves with 1/mp of the tangent: an invariant of the pupils' images.
+    The ray goes through the centres of both pupils, and leaves with 1/mp of the tangent: an
+    invariant of the pupils' images.
     """
     return (
         exit_pupil_to_image_mm(best_focus_mm, focal_length_mm, pupil_magnification)
@@ -158,10 +172,11 @@ def point_spread(
     reference_nm: float = 450.0,
     pupil: Pupil = DISC,
 ) -> Floats32:
-    """The lens's PSF on a square grid of spacing_um: (2 reach + 1, 2 reach + 1), centred; each sample's share of all light.
+    """Return the lens's PSF on a grid of spacing_um: (2 reach + 1, 2 reach + 1), centred, shares of all light.
 
-    waves: {Noll mode: waves RMS at reference_nm}, over the disc of which f_number is. The pupil is sampled so finely that the
-    field repeats only after 6 times the reach: what wraps around lands beyond the window, but for the faint outermost tail.
+    waves: {Noll mode: waves RMS at reference_nm}, over the disc of f_number. The pupil is
+    sampled so finely that the field repeats only after 6 times the reach: light that wraps
+    around arrives beyond the window, except for the faint outermost tail.
     """
     n = scipy.fft.next_fast_len(int(6 * reach) + 1)
     radius = n * spacing_um / (2 * wavelength_nm * 1e-3 * f_number)
@@ -194,13 +209,15 @@ def halo_beyond(
     pixels: int,
     rim: float = 1.0,
 ) -> Floats32:
-    """What `point_spread` lacks, from pixel to pixel: (2 pixels + 1, 2 pixels + 1) shares of all light, centred.
+    """Return the light missing from `point_spread`, from pixel to pixel: (2 pixels + 1, 2 pixels + 1) shares,
+    centred.
 
-    samples: of spacing_um to a pixel; rim: length of the pupil's rims over that of a disc of its area. Beyond the window, and
-    averaged over its rings, the light of any lens falls with the cube of the distance, rim lambda N / (pi r)^3; the spikes of
-    blades are followed within the window only. It is a thousandth of the light and far away, but a cone is
-    known by how steeply contrast begins to fall with frequency: without the light beyond 350 um its f-number comes out 0.5 %
-    too small.
+    samples: of spacing_um to a pixel; rim: length of the pupil's rims over that of a disc
+    of its area. Beyond the window, averaged over its rings, the light of any lens falls
+    with the cube of the distance, rim lambda N / (pi r)^3; the spikes of blades are
+    followed within the window only. The halo is a thousandth of the light and far away, but
+    the f-number is known from the initial fall of contrast with frequency: without the
+    light beyond 350 um its estimate is 0.5 % too small.
     """
     airy_um, pitch_um = wavelength_nm * 1e-3 * f_number, samples * spacing_um
     y, x = np.meshgrid(*2 * [np.arange(-pixels, pixels + 1) * pitch_um], indexing="ij")

@@ -1,4 +1,4 @@
-"""What real cameras, lenses and panels have beside the ideal ones, each off unless asked for: settings only."""
+"""Departures of real cameras, lenses and panels from ideal ones, all off by default: settings only."""
 
 from __future__ import annotations
 
@@ -68,10 +68,11 @@ class Smear:
 
 @dataclass(frozen=True, slots=True)
 class Veil:
-    """Stray light: a fraction of all light, spread by a Gaussian (its sigma) or exp(-r / scale) over scale_px pixels.
+    """Veiling glare: a fraction of all light, spread by a Gaussian (its sigma) or exp(-r / scale) over scale_px
+    pixels.
 
-    What would go farther than the frame is wide is laid within. Raises ValueError for a fraction that is none, and for a scale
-    of less than LEAST_VEIL_PX.
+    Light beyond the frame's width is placed within. Raises ValueError for an impossible
+    fraction, and for a scale of less than LEAST_VEIL_PX.
     """
 
     fraction: float = 0.0
@@ -93,9 +94,10 @@ class Veil:
 class Spectrum:
     """A channel's light: (wavelength in nm, share of the electrons) of a few lines, in any scale of shares.
 
-    The lens's path differences, in nm, are the same for all. defocus_waves_per_nm: longitudinal colour within the channel,
-    waves RMS at the reference wavelength for each nm beyond the channel's wavelength_nm, where its best focus holds.
-    Raises ValueError without lines, or for a wavelength or share that is not positive.
+    The lens's path differences, in nm, are the same for all lines. defocus_waves_per_nm:
+    longitudinal colour within the channel, waves RMS at the reference wavelength for each
+    nm beyond the channel's wavelength_nm, to which best focus refers. Raises ValueError
+    without lines, or for a wavelength or share that is not positive.
     """
 
     lines: tuple[tuple[float, float], ...]
@@ -116,10 +118,11 @@ class Spectrum:
 
 @dataclass(frozen=True, slots=True)
 class Lit:
-    """The rectangle of each panel pixel that shines in one colour: from and to, in shares of its side, rightwards and down.
+    """The rectangle of each panel pixel that shines in one colour: from and to, in shares of its side,
+    rightwards and down.
 
-    A pixel's light is what it were if all of it shone, so the rectangle is brighter by its share of the pixel.
-    Raises ValueError for a rectangle that is empty or reaches out of the pixel.
+    A pixel emits the same light as if all of it shone, so the rectangle is brighter in
+    proportion. Raises ValueError for a rectangle that is empty or reaches out of the pixel.
     """
 
     across: tuple[float, float]
@@ -133,11 +136,13 @@ class Lit:
                 )
 
     def brightness(self, right: Sides, down: Sides) -> Floats:
-        """Mean over a parallelogram, relative to a pixel that is lit all over.
+        """Return the mean over a parallelogram, relative to a pixel that is lit all over.
 
-        right, down: its middle, counted in panel pixels from a pixel's corner, and what its two sides span of that. Exact but
-        where edges of both directions meet in a slanting parallelogram, whose corners' errors have both signs: samples a sixth
-        of a pixel wide draw white as one sees it within 3e-4 RMS at a few degrees, within 0.6 % at 40.
+        right, down: its middle, counted in panel pixels from a pixel's corner, and the
+        extent of its two sides along this axis. The mean is exact except where edges of
+        both directions meet in a slanting parallelogram, whose corners' errors have both
+        signs: samples a sixth of a pixel wide draw white within 3e-4 RMS at a few degrees,
+        within 0.6 % at 40.
         """
         return _lit_share(*right, *self.across) * _lit_share(*down, *self.down)
 
@@ -145,7 +150,11 @@ class Lit:
 def _lit_share(
     middle: Floats, first: Floats, second: Floats, low: float, high: float
 ) -> Floats:
-    """Mean of 1 / (high - low) within low..high of each unit and 0 elsewhere, over two boxes of these widths convolved."""
+    """Return the mean of a periodic rectangle over two boxes convolved.
+
+    The rectangle is 1 / (high - low) within low..high of each unit and 0 elsewhere; first,
+    second: widths of the boxes.
+    """
     a, b = (np.maximum(np.abs(width), LEAST_SIDE) / 2 for width in (first, second))
     beyond = np.zeros(np.shape(middle))
     for sign, place in ((1, a + b), (-1, a - b), (-1, b - a), (1, -a - b)):
@@ -157,6 +166,6 @@ def _lit_share(
 
 
 def _twice_integrated(place: Floats) -> Floats:
-    """The periodic sawtooth x - 1/2 on 0..1, integrated twice: Bernoulli's polynomial of the third degree over 6."""
+    """Return the periodic sawtooth x - 1/2 on 0..1, integrated twice: Bernoulli's third polynomial over 6."""
     x = place - np.floor(place)
     return np.asarray(((x / 6 - 0.25) * x + 1 / 12) * x)

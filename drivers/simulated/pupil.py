@@ -1,9 +1,10 @@
 """The clear pupil of the simulated lens: blades, central obstruction, cat's eye, and their samples on a grid.
 
-Every rim is that of a disc, and the pupil is where all discs overlap, but for the obstruction. A sample is a smooth function
-of its distance from the nearest rim, so that a transform of samples has the light of a sharp rim.
+Every rim is a disc's, and the pupil is the overlap of all discs, less the obstruction. A
+sample is a smooth function of its distance from the nearest rim, so that a transform of
+samples has the light of a sharp rim.
 
-Written without labkit.optics and labkit.imaging, which it is there to test.
+Written without labkit.optics and labkit.imaging, which it tests.
 """
 
 from __future__ import annotations
@@ -41,13 +42,15 @@ MEASURED_RADIUS = 500
 
 @dataclass(frozen=True, slots=True)
 class Pupil:
-    """A pupil that is no disc. Directions are measured from right towards down, as the sensor sees it.
+    """A pupil that is no disc. Directions are measured from right towards down, as the sensor sees the pupil.
 
-    blades: of the diaphragm, 0 for a round one; turn_deg: direction of the middle of a blade; rounding: 0 for straight blades,
-    1 for a circle; each blade is an arc of radius 1/rounding, in units of the circle through the corners.
-    obstruction: diameter of the dark disc in the middle over that of the circle of the opening's area.
-    cats_eye: (shift, radius, direction in degrees) of a second circle that cuts the pupil off the axis, in units of the radius
-    of the circle of the opening's area. Raises ValueError for a pupil that cannot be.
+    blades: of the diaphragm, 0 for a round diaphragm; turn_deg: direction of the middle of
+    a blade; rounding: 0 for straight blades, 1 for a circle; each blade is an arc of radius
+    1/rounding, in units of the circle through the corners. obstruction: diameter of the
+    dark disc in the middle over that of the circle of the opening's area. cats_eye: (shift,
+    radius, direction in degrees) of a second circle that cuts the pupil off the axis, in
+    units of the radius of the circle of the opening's area. Raises ValueError for an
+    impossible pupil.
     """
 
     blades: int = 0
@@ -81,12 +84,14 @@ class Pupil:
 
     @property
     def opening(self) -> float:
-        """Radius of the circle of the opening's area; 1 is that of the clear area on the axis."""
+        """Radius of the circle of the opening's area; 1 is the radius for the clear area on the axis."""
         return 1 / sqrt(1 - self.obstruction**2)
 
     @property
     def extent(self) -> float:
-        """Radius of the smallest circle about the axis that holds the opening: the rim, or the blades' corners."""
+        """Radius of the smallest circle about the axis around the opening: of the rim, or of the blades'
+        corners.
+        """
         if not self.blades:
             return self.opening
         half = pi / self.blades
@@ -103,19 +108,20 @@ class Pupil:
 
     @property
     def rim(self) -> float:
-        """Length of all rims over that of a clear disc of the same area: far light grows with it."""
+        """Length of all rims over that of a clear disc of the same area: far light is proportional."""
         area, length = _measured(self)
         return length / (2 * area)
 
     def samples(self, u: Floats, v: Floats, per_radius: float) -> Floats:
-        """Share of light that passes at coordinates (u right, v down) of a grid.
+        """Return the share of light that passes at coordinates (u right, v down) of a grid.
 
-        A unit is the radius of the circle of the clear area on the axis; per_radius: samples to a unit.
+        A unit is the radius of the circle of the clear area on the axis; per_radius:
+        samples to a unit.
         """
         return _smooth_step(self._from_rim(u, v) * per_radius)
 
     def _from_rim(self, u: Floats, v: Floats) -> Floats:
-        """Distance from the nearest rim, units, positive where light passes."""
+        """Return the distance from the nearest rim, units, positive where light passes."""
         inside = np.full(np.broadcast_shapes(u.shape, v.shape), np.inf)
         for right, down, radius in self._discs():
             np.minimum(inside, radius - np.hypot(u - right, v - down), out=inside)
@@ -128,18 +134,18 @@ class Pupil:
         return inside
 
     def _directions(self) -> Iterator[tuple[float, float]]:
-        """Towards the middle of each blade: right, down."""
+        """Yield the direction of the middle of each blade: right, down."""
         for k in range(self.blades):
             angle = radians(self.turn_deg) + 2 * pi * k / self.blades
             yield cos(angle), sin(angle)
 
     def _edges(self) -> Iterator[tuple[float, float]]:
-        """Directions of straight blades."""
+        """Yield the directions of straight blades."""
         if self.rounding <= STRAIGHT:
             yield from self._directions()
 
     def _discs(self) -> Iterator[tuple[float, float, float]]:
-        """Centre (right, down) and radius of each disc within which light passes."""
+        """Yield centre (right, down) and radius of each disc within which light passes."""
         if not self.blades:
             yield 0.0, 0.0, self.opening
         elif self.rounding > STRAIGHT:
@@ -161,9 +167,9 @@ DISC = Pupil()
 
 
 def _smooth_step(samples: Floats) -> Floats:
-    """The kernel's integral up to a distance from the rim: 0 far outside, 1 far inside.
+    """Return the kernel's integral up to a distance from the rim: 0 far outside, 1 far inside.
 
-    In Hermite's polynomials: each power of t adds a derivative of the Gaussian.
+    In Hermite's polynomials each power of t adds a derivative of the Gaussian.
     """
     near = np.abs(samples) < RIM_REACH
     z = samples[near] / RIM_SIGMA

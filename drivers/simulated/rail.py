@@ -20,13 +20,13 @@ TOLERANCE_MM = 0.2
 
 
 def open_rail(address: str, plan: Plan, context: DeviceContext) -> SimulatedRail:
-    """The rail of the context's bench. Raises PlanError."""
+    """Open the rail of the context's bench. Raises PlanError."""
     bench = shared_bench(context, address, plan)
     return SimulatedRail(bench.part, release=bench.close)
 
 
 class SimulatedRail(SimulatedDevice):
-    """A Rail. Like a real one it must be homed before it moves, and again after trouble."""
+    """A Rail, which like a real rail must be homed before it moves, and again after trouble."""
 
     def __init__(
         self,
@@ -40,7 +40,7 @@ class SimulatedRail(SimulatedDevice):
 
     @property
     def travel_mm(self) -> Travel:
-        """Where it can go."""
+        """Positions that the rail can reach."""
         rail = self._bench.settings.rail
         return Travel(rail.low_mm, rail.high_mm)
 
@@ -51,9 +51,10 @@ class SimulatedRail(SimulatedDevice):
         self._homed = True
 
     def move_to(self, position_mm: float) -> float:
-        """Go there from below; the position that the encoder reads.
+        """Approach a position from below, and return the encoder's reading.
 
-        Raises RailLimitError outside the travel, RailError before homing or after lost steps, DeviceTimeoutError.
+        Raises RailLimitError outside the travel, RailError before homing or after lost
+        steps, DeviceTimeoutError.
         """
         travel = self.travel_mm
         if not travel.low_mm <= position_mm <= travel.high_mm:
@@ -73,10 +74,10 @@ class SimulatedRail(SimulatedDevice):
         return self._measure(position_mm)
 
     def stop(self) -> None:
-        """It always stands: moves are over at once."""
+        """Do nothing: moves end at once."""
 
     def close(self) -> None:
-        """Let it go; again does nothing."""
+        """Release the rail; again does nothing."""
         self._homed = False
         super().close()
 

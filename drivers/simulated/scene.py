@@ -1,11 +1,12 @@
-"""How the simulated bench forms an image: geometry and brute force on a grid much finer than the pixels.
+"""Form an image on the simulated bench: geometry and brute force on a grid much finer than the pixels.
 
-The panel's pixels are projected through a pinhole, every fine sample takes the average radiance over its own square,
-the lens's PSF is laid over it without any wrap-around, and a pixel sums the samples of its active square. Sampled so,
-the pixel's integral is exact: a sum of adjoining squares is a square. What is left of aliasing shrinks with the square
-of the sampling, and a test holds it far below the photon noise.
+The panel's pixels are projected through a pinhole, and every fine sample takes the average
+radiance over its own square. The lens's PSF is convolved without any wrap-around, and a
+pixel sums the samples of its active square. With such samples the pixel's integral is
+exact: a sum of adjoining squares is a square. The remaining aliasing shrinks with the
+square of the sampling, and a test holds it far below the photon noise.
 
-Written without labkit.optics and labkit.imaging, which it is there to test.
+Written without labkit.optics and labkit.imaging, which it tests.
 """
 
 from __future__ import annotations
@@ -33,11 +34,12 @@ POINTS_PER_EDGE_SAMPLE = 34
 
 @dataclass(frozen=True, slots=True)
 class Glass:
-    """What the panel shows, as the scene sees it.
+    """The content of the panel for the scene.
 
-    codes: (rows, cols) picture values, equal where neighbours shine alike but for the backlight; radiance: (rows, cols)
-    relative to white, mean over a panel pixel; pitch_mm: its side. Coordinates: x right, y down, origin at the panel's centre.
-    lit: the part of each panel pixel that shines; None for all of it.
+    codes: (rows, cols) picture values, equal where neighbours shine alike except for the
+    backlight; radiance: (rows, cols) relative to white, mean over a panel pixel; pitch_mm:
+    its side. Coordinates: x right, y down, origin at the panel's centre. lit: the part of
+    each panel pixel that shines; None for all of it.
     """
 
     codes: NDArray[np.int16]
@@ -58,7 +60,7 @@ class FineGrid:
     left: int = 0
 
     def centres(self, pixels: int) -> Floats:
-        """Sample centres along an axis of that many pixels, in pixels; pixel centres stand at integers."""
+        """Return sample centres along an axis of `pixels` pixels, in pixels; pixel centres are integers."""
         return (
             np.arange(pixels * self.samples + 2 * self.reach) - self.reach + 0.5
         ) / self.samples - 0.5
@@ -70,10 +72,12 @@ def project(
     shift_mm: tuple[float, float],
     range_mm: float,
 ) -> Floats:
-    """(3, 3) map from panel mm (x, y, 1) to tangents in front of the camera: turn, then shift, then perspective.
+    """Return the (3, 3) map from panel mm (x, y, 1) to tangents in front of the camera: turn, shift,
+    perspective.
 
-    tilt_deg: about the camera's x (right) and y (down) axes; roll_deg: about its axis, clockwise as the camera sees it;
-    shift_mm: where the panel's centre lies (right, down) of the axis, range_mm along it.
+    tilt_deg: about the camera's x (right) and y (down) axes; roll_deg: about its axis,
+    clockwise as the camera sees it; shift_mm: place of the panel's centre (right, down) of
+    the axis, range_mm along it.
     """
     (pitch, yaw), roll = np.radians(tilt_deg), np.radians(roll_deg)
     about_x = np.array(
@@ -90,7 +94,7 @@ def project(
 
 
 def carry(matrix: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Points (x, y), broadcast, through a (3, 3) projective map."""
+    """Map points (x, y), broadcast, through a (3, 3) projective map."""
     below = matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2]
     right = (matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2]) / below
     down = (matrix[1, 0] * x + matrix[1, 1] * y + matrix[1, 2]) / below
@@ -98,7 +102,8 @@ def carry(matrix: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats]:
 
 
 def render(glass: Glass, panel_to_pixels: Floats, grid: FineGrid) -> Floats32:
-    """Mean radiance over each fine sample's square: (rows * samples + 2 reach, cols * samples + 2 reach).
+    """Return the mean radiance over each fine sample's square: (rows * samples + 2 reach, cols * samples + 2
+    reach).
 
     panel_to_pixels: (3, 3), panel mm (x, y, 1) to pixels (column, row, 1).
     """
@@ -145,7 +150,7 @@ def render(glass: Glass, panel_to_pixels: Floats, grid: FineGrid) -> Floats32:
 def _look_up(
     table: NDArray[Value], to_panel: Floats, x: Floats, y: Floats
 ) -> NDArray[Value]:
-    """The table's values where the pixels (x, y) see it."""
+    """Return the table's values at the pixels (x, y)."""
     right, down = carry(to_panel, x, y)
     col = np.clip(right, 0, table.shape[1] - 1).astype(np.intp)
     row = np.clip(down, 0, table.shape[0] - 1).astype(np.intp)
@@ -154,7 +159,9 @@ def _look_up(
 
 
 def _brightness(lit: Lit, to_panel: Floats, x: Floats, y: Floats, side: float) -> Floats32:
-    """What squares of this side about the pixels (x, y) see of the lit parts of panel pixels, a whole pixel's light being 1."""
+    """Return the light of panel pixels' lit parts in squares of a side about (x, y); a whole pixel's light is
+    1.
+    """
     middle = carry(to_panel, x, y)
     ends = [
         carry(to_panel, x + dx, y + dy)
@@ -167,9 +174,10 @@ def _brightness(lit: Lit, to_panel: Floats, x: Floats, y: Floats, side: float) -
 
 
 def _lattice(i: NDArray[np.intp], j: NDArray[np.intp]) -> tuple[Floats, Floats]:
-    """Points within unit squares (-0.5..0.5), (len(i), POINTS_PER_EDGE_SAMPLE) each way.
+    """Return points within unit squares (-0.5..0.5), (len(i), POINTS_PER_EDGE_SAMPLE) each way.
 
-    Each square's lattice is turned by another amount (Roberts' R2 sequence), lest neighbours err alike along an edge.
+    Each square's lattice is turned by another amount (Roberts' R2 sequence), so that errors
+    of neighbours along an edge differ.
     """
     k = np.arange(POINTS_PER_EDGE_SAMPLE)
     dx = (k / POINTS_PER_EDGE_SAMPLE + (0.7548776662 * i + 0.1 * j)[:, None]) % 1
@@ -179,7 +187,9 @@ def _lattice(i: NDArray[np.intp], j: NDArray[np.intp]) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True, slots=True)
 class SceneTransform:
-    """A scene's Fourier transform, kept to lay several PSFs over it; and its mean over each pixel, rim included."""
+    """A scene's Fourier transform, kept for convolution with several PSFs, and its mean over each pixel, rim
+    included.
+    """
 
     transform: NDArray[np.complex64]
     size: tuple[int, int]
@@ -188,7 +198,9 @@ class SceneTransform:
 
 
 def transform(scene: Floats32, grid: FineGrid) -> SceneTransform:
-    """The transform of a rendered scene, whose rim is whole pixels wide. Raises ValueError for another."""
+    """Return the transform of a rendered scene, whose rim is whole pixels wide. Raises ValueError for another
+    rim.
+    """
     if grid.reach % grid.samples:
         raise ValueError(
             f"a rim of {grid.reach} samples is no whole number of pixels of {grid.samples}"
@@ -208,10 +220,11 @@ def photograph(
     fill_factor: float = 1.0,
     halo: Floats32 | None = None,
 ) -> Floats32:
-    """(rows, cols) mean radiance over each pixel's active square after the blur.
+    """Return (rows, cols) mean radiance over each pixel's active square after the blur.
 
-    psf: (2 reach + 1, 2 reach + 1). The rim of the scene, reach wide, takes up whatever the transform wraps around.
-    halo: (2 n + 1, 2 n + 1) what lies beyond the psf, from pixel to pixel; beyond the rim the scene goes on as it ends.
+    psf: (2 reach + 1, 2 reach + 1). The rim of the scene, reach wide, takes the light that
+    the transform wraps around. halo: (2 n + 1, 2 n + 1) light beyond the psf, from pixel to
+    pixel; beyond the rim the scene continues with its border values.
     """
     grid = scene.grid
     blurred = scipy.fft.rfft2(psf, scene.size, workers=2)
@@ -231,9 +244,10 @@ def photograph(
 
 
 def from_pixel_to_pixel(scene: SceneTransform, kernel: Floats32) -> Floats32:
-    """(rows, cols) mean radiance over each pixel after a coarse blur, (2 n + 1, 2 n + 1) shares of light from pixel to pixel.
+    """Return (rows, cols) mean radiance over each pixel after a coarse blur.
 
-    Beyond the rim the scene goes on as it ends.
+    kernel: (2 n + 1, 2 n + 1) shares of light from pixel to pixel. Beyond the rim the scene
+    continues with its border values.
     """
     rim, far = scene.grid.reach // scene.grid.samples, kernel.shape[0] // 2
     wide = np.pad(scene.pixels, max(far - rim, 0), mode="edge")
@@ -244,7 +258,7 @@ def from_pixel_to_pixel(scene: SceneTransform, kernel: Floats32) -> Floats32:
 
 
 def _active(samples: int, fill_factor: float) -> Floats32:
-    """Share of each of a pixel's samples that lies in its active width, unit sum."""
+    """Return the share of each of a pixel's samples in its active width, unit sum."""
     width = np.sqrt(fill_factor)
     edges = np.linspace(-0.5, 0.5, samples + 1)
     inside = np.clip(edges, -width / 2, width / 2)

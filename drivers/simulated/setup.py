@@ -1,4 +1,4 @@
-"""A bench for a plan: nominal as the plan has it, true with what no plan says, drawn from the seed in the address."""
+"""Make a bench for a plan: nominal values from the plan, true ones from the seed in the address."""
 
 from __future__ import annotations
 
@@ -37,10 +37,11 @@ WHITE_COUNTS = 10_350.0
 
 
 def shared_bench(context: DeviceContext, address: str, plan: Plan) -> Lease[Bench]:
-    """The one bench of a context's devices, at an address such as "simulated:" or "simulated:seed=3,camera.timeout=2".
+    """Lease the bench of a context's devices, at an address such as "simulated:" or
+    "simulated:seed=3,camera.timeout=2".
 
-    It is there as long as any of them is open. Raises PlanError for an address that is not understood, or another than
-    the context's bench has.
+    The bench exists as long as any device is open. Raises PlanError for an address that
+    cannot be parsed, or that differs from the context's bench.
     """
     others = [
         key
@@ -59,9 +60,10 @@ def shared_bench(context: DeviceContext, address: str, plan: Plan) -> Lease[Benc
 
 
 def settings_for(plan: Plan, seed: int) -> BenchSettings:
-    """A bench on which the plan makes sense: its target in frame at every range, its exposure right.
+    """Return settings of a bench that suits a plan: target in frame at every range, right exposure.
 
-    Raises PlanError if the plan lacks [rail] or [camera], or its target needs too large a sensor.
+    Raises PlanError if the plan lacks [rail] or [camera], or its target needs too large a
+    sensor.
     """
     if plan.camera is None or plan.rail is None:
         raise PlanError("a simulated bench needs a plan with [camera] and [rail]")
@@ -120,7 +122,9 @@ def _bench(address: str, plan: Plan, warn: Callable[[str], None]) -> Bench:
 
 
 def _sensor_size(plan: Plan, nearest_mm: float) -> tuple[int, int]:
-    """(rows, cols), multiples of 8, that hold the target at the nearest range, with a margin for roll and aim."""
+    """Return (rows, cols), multiples of 8, that hold the target at the nearest range, with a margin for roll
+    and aim.
+    """
     focal_mm = plan.lens.focal_length_mm
     per_mm = focal_mm / (nearest_mm - focal_mm) / (plan.sensor.pixel_pitch_um * 1e-3)
     high, wide = (side * per_mm for side in open_target(plan.target).size_mm)
@@ -133,14 +137,14 @@ def _sensor_size(plan: Plan, nearest_mm: float) -> tuple[int, int]:
 def _best_focus_mm(
     colours: Iterable[str], ranges_mm: tuple[float, ...], rng: np.random.Generator
 ) -> dict[str, float]:
-    """Best focus in the nearer half of the ranges, each colour's a few thousandths from the others'."""
+    """Return best focus in the nearer half of the ranges, a few thousandths different in each colour."""
     near, far = min(ranges_mm), max(ranges_mm)
     middle = near + (far - near) * rng.uniform(0.05, 0.5)
     return {colour: middle * (1 + rng.uniform(-0.002, 0.002)) for colour in colours}
 
 
 def _rail(rail: RailSettings) -> TrueRail:
-    """A rail that reaches every range, and a little more on either side."""
+    """Return a rail that reaches every range, and a little more on either side."""
     stops = [rail.position_mm(range_mm) for range_mm in rail.ranges_mm]
     return TrueRail(
         low_mm=min(0.0, *stops) - 5.0,

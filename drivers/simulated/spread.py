@@ -1,12 +1,13 @@
-"""What a point of light becomes on the simulated sensor: diffraction in all its wavelengths, then what filter, diffusion and
-smear throw aside, then the veil.
+"""Spread a point of light on the simulated sensor: diffraction at all wavelengths, filter, diffusion, smear,
+glare.
 
-All of it is done in space: wavelengths are summed as PSFs, and what throws light aside is a few places, each laid on the fine
-samples. A place between samples is laid by a windowed sinc, which is exact for what is as band-limited as the PSF: that is
-sampled at Nyquist's rate or finer. Bilinear shares would dim it like a filter of their own, by 1 - cos(pi w / samples) at w
-cycles per pixel, which is 13 % at one cycle and six samples.
+All steps work in space: wavelengths are summed as PSFs, and each displacement of light is a
+few places on the fine samples. A windowed sinc places light between samples, exactly for a
+PSF sampled at Nyquist's rate or finer. Bilinear shares would act as a filter of their own,
+by 1 - cos(pi w / samples) at w cycles per pixel, which is 13 % at one cycle and six
+samples.
 
-Written without labkit.optics and labkit.imaging, which it is there to test.
+Written without labkit.optics and labkit.imaging, which it tests.
 """
 
 from __future__ import annotations
@@ -37,9 +38,11 @@ GAUSSIAN_REACH = 6.0
 def psf_and_halo(
     settings: BenchSettings, colour: str, waves: Mapping[int, float], grid: FineGrid
 ) -> tuple[Floats32, Floats32]:
-    """A colour's PSF on the fine samples, (2 reach + 1, 2 reach + 1), and what lies beyond from pixel to pixel.
+    """Return a colour's PSF on the fine samples, (2 reach + 1, 2 reach + 1), and the light beyond from pixel to
+    pixel.
 
-    waves: {Noll mode: waves RMS at REFERENCE_NM} at the colour's wavelength_nm. Shares of all light, the veil not counted.
+    waves: {Noll mode: waves RMS at REFERENCE_NM} at the colour's wavelength_nm. Shares of
+    all light without glare.
     """
     lens, sensor = settings.lens, settings.sensor
     f_number, focal_mm = lens.f_number_in(colour), lens.focal_length_in(colour)
@@ -69,9 +72,11 @@ def psf_and_halo(
 def aside(
     low_pass: LowPassFilter, diffusion_px: float, smear: Smear, samples: int
 ) -> Floats32:
-    """Shares of a point's light that go to the fine samples around it, (n, n), n odd, centred, of unit sum; [[1]] if all stays.
+    """Return the shares of a point's light on the fine samples around, (n, n), n odd, centred, of unit sum;
+    [[1]] if all stays.
 
-    diffusion_px: sigma of a Gaussian; samples: to a pixel. Read-only. Raises ValueError for a negative sigma.
+    diffusion_px: sigma of a Gaussian; samples: to a pixel. Read-only. Raises ValueError for
+    a negative sigma.
     """
     if diffusion_px < 0:
         raise ValueError(f"charge diffuses by 0 pixels or more, not {diffusion_px:g}")
@@ -93,7 +98,7 @@ def aside(
 
 
 def _along_the_smear(smear: Smear, samples: int) -> tuple[Floats, Floats]:
-    """Places (n, 2) down and right, pixels, and their shares: Gauss's, enough of them for every frequency that samples hold."""
+    """Return places (n, 2) down and right, pixels, and their Gauss shares, enough for the samples' frequencies."""
     if not smear.length_px:
         return np.zeros((1, 2)), np.ones(1)
     nodes, weights = np.polynomial.legendre.leggauss(
@@ -108,10 +113,11 @@ def _along_the_smear(smear: Smear, samples: int) -> tuple[Floats, Floats]:
 def _marks(
     around: np.ndarray[tuple[int], np.dtype[np.int_]], places: Floats, sigma: float
 ) -> Floats:
-    """What light at each place leaves on samples, (places, samples), blurred by a Gaussian of sigma samples; of unit sums.
+    """Return the light of each place on samples, (places, samples), blurred by a Gaussian of sigma samples; of
+    unit sums.
 
-    Summed over points of the Gaussian, not over cells: the PSF's samples hold no cell's mean, and a cell's width would
-    add a twelfth of its square to sigma's.
+    The sum is over points of the Gaussian, not over cells: the PSF's samples hold no cell's
+    mean, and a cell's width would add a twelfth of its square to sigma's.
     """
     if not sigma:
         return _sinc(around - places[:, None])
@@ -125,7 +131,7 @@ def _marks(
 
 
 def _sinc(x: Floats) -> Floats:
-    """Kaiser's windowed sinc at samples' distances, its last axis of unit sum."""
+    """Return Kaiser's windowed sinc at samples' distances, its last axis of unit sum."""
     inside = np.sqrt(np.clip(1 - (x / SINC_REACH) ** 2, 0, None))
     sinc = np.where(
         inside > 0, np.sinc(x) * np.i0(SINC_BETA * inside) / np.i0(SINC_BETA), 0.0
@@ -134,7 +140,7 @@ def _sinc(x: Floats) -> Floats:
 
 
 def veiled(seen: Floats32, scene: SceneTransform, veil: Veil) -> Floats32:
-    """A picture of a scene, (rows, cols), with some of its light spread as a veil."""
+    """Return an image of a scene, (rows, cols), with some of its light spread as veiling glare."""
     if not veil.fraction:
         return seen
     share = np.float32(veil.fraction)
@@ -144,7 +150,7 @@ def veiled(seen: Floats32, scene: SceneTransform, veil: Veil) -> Floats32:
 
 
 def _veil(veil: Veil, pixels: int) -> Floats32:
-    """(2 pixels + 1, 2 pixels + 1) shares of the veil's light, centred, of unit sum."""
+    """Return (2 pixels + 1, 2 pixels + 1) shares of the glare, centred, of unit sum."""
     offset = np.arange(-pixels, pixels + 1) / veil.scale_px
     radius = np.hypot(offset[:, None], offset)
     shares = np.exp(-radius if veil.shape == "exponential" else -(radius**2) / 2)

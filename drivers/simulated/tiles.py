@@ -26,7 +26,7 @@ Draw = Callable[[str, FineGrid], SceneTransform]
 
 
 def tiles(rows: int, cols: int, side: int) -> Iterator[tuple[slice, slice]]:
-    """Cuts of at most side x side pixels that cover a sensor, in order."""
+    """Yield cuts of at most side x side pixels that cover a sensor, in order."""
     for top in range(0, rows, side):
         for left in range(0, cols, side):
             yield slice(top, min(top + side, rows)), slice(left, min(left + side, cols))
@@ -39,9 +39,11 @@ def mosaic_in_tiles(
     spreads: Mapping[str, Spread],
     fill_factor: float,
 ) -> tuple[Floats32, dict[str, SceneTransform]]:
-    """(rows, cols) what each pixel sees through its own colour; and of each colour the scene from pixel to pixel.
+    """Return (rows, cols) radiance in each pixel through its own colour, and each colour's scene from pixel to
+    pixel.
 
-    colours: (rows, cols) of each pixel. What a PSF throws farther than a tile's rim, the halo, comes from all of the scene.
+    colours: (rows, cols) of each pixel. Light beyond a tile's rim, the halo, comes from the
+    whole scene.
     """
     rim = grid.reach // grid.samples
     seen = np.zeros(colours.shape, dtype=np.float32)

@@ -1,5 +1,6 @@
-"""What is true on the simulated bench: lens, sensor, panel, rail and pose, the faults to come, and the truth, which
-only demos and tests may read."""
+"""The true simulated bench: lens, sensor, panel, rail and pose, coming faults, and the truth, which only demos
+and tests may read.
+"""
 
 from __future__ import annotations
 
@@ -25,16 +26,18 @@ MOST_NOLL, MOST_WAVES = 45, 2.0
 
 @dataclass(frozen=True, slots=True)
 class TrueLens:
-    """The lens: per colour a wavelength, a best focus, and random fixed modes of the RMS given (waves at 450 nm).
+    """The lens: per colour a wavelength, a best focus, and random fixed modes of an RMS (waves at 450 nm).
 
-    best_focus_mm: true ranges, from the front principal plane. Focal length and f-number are those of green, or of the first
-    colour; one sensor and one aperture serve all, so that other colours' follow from where they focus. Modes are Noll's over
-    the disc of the f-number. Raises ValueError for aberrations that cannot be.
+    best_focus_mm: true ranges, from the front principal plane. Focal length and f-number
+    are green's, or the first colour's; all colours share sensor and aperture, so their own
+    follow from their best focus. Modes are Noll's over the disc of the f-number. Raises
+    ValueError for impossible aberrations.
     """
 
     focal_length_mm: float = 70.0
     f_number: float = 2.8
-    """At infinity: focal length over the diameter of the circle that has the entrance pupil's clear area on the axis."""
+    """At infinity: focal length over the diameter of the circle of the entrance pupil's clear area on the axis.
+    """
     pupil_magnification: float = 0.985
     wavelength_nm: Mapping[str, float] = field(
         default_factory=lambda: {"R": 650.0, "G": 550.0, "B": 450.0}
@@ -45,18 +48,18 @@ class TrueLens:
     noll: tuple[int, ...] = FIXED_MODES
     aberration_waves: float = 0.07
     colour_share: float = 0.15
-    """Size of what each colour has of its own in the aberration, relative to what they share."""
+    """Size of each colour's own aberration, relative to the aberration common to all."""
     higher_waves: float = 0.0
     """RMS of random modes of the orders beyond, `HIGHER_MODES`."""
     stated_waves: Mapping[int, float] = field(default_factory=dict)
-    """{Noll mode: waves RMS} of all colours, in place of what is drawn; 5 to 45."""
+    """{Noll mode: waves RMS} of all colours, in place of drawn modes; 5 to 45."""
     pupil: Pupil = DISC
     lateral_colour: Mapping[str, float] = field(default_factory=dict)
-    """By how much a colour's picture is larger than the others', relative; 0 of those left out."""
+    """Relative excess of a colour's image size; 0 for colours left out."""
     vignetting: float = 0.10
     """Light lost in the frame's corner."""
     spectrum: Mapping[str, Spectrum] = field(default_factory=dict)
-    """Of colours that are more than one wavelength."""
+    """Spectra of colours with more than one wavelength."""
     veil: Veil = field(default_factory=Veil)
     """Stray light, as vignetted as all light is."""
 
@@ -79,7 +82,7 @@ class TrueLens:
 
     @property
     def outer_f_number(self) -> float:
-        """At infinity, of the smallest circle round the pupil: outer rim or corners of the blades."""
+        """f-number at infinity of the smallest circle round the pupil: outer rim or corners of the blades."""
         return self.f_number / self.pupil.extent
 
     @property
@@ -88,18 +91,18 @@ class TrueLens:
         return self.best_focus_mm.get("G", next(iter(self.best_focus_mm.values())))
 
     def focal_length_in(self, colour: str) -> float:
-        """mm, of a colour that is focused on the same sensor from elsewhere."""
+        """Return the focal length, mm, of a colour with another best focus on the same sensor."""
         sensor = (
             1 / self.focal_length_mm - 1 / self.focused_mm
         )  # 1 over its distance from the rear principal plane
         return 1 / (sensor + 1 / self.best_focus_mm[colour])
 
     def f_number_in(self, colour: str) -> float:
-        """Of a colour, at infinity."""
+        """Return the f-number of a colour, at infinity."""
         return self.focal_length_in(colour) * self.f_number / self.focal_length_mm
 
     def lines_in(self, colour: str) -> tuple[tuple[float, float], ...]:
-        """A colour's wavelengths, nm, and their shares of its light, which sum to one."""
+        """Return a colour's wavelengths, nm, and their shares of its light, which sum to one."""
         return (
             self.spectrum[colour].shares
             if colour in self.spectrum
@@ -107,7 +110,7 @@ class TrueLens:
         )
 
     def defocus_within(self, colour: str, nm: float) -> float:
-        """Defocus of one of a colour's wavelengths beyond the colour's own, waves RMS at REFERENCE_NM."""
+        """Return the defocus of a wavelength relative to its colour's, waves RMS at REFERENCE_NM."""
         spectrum = self.spectrum.get(colour)
         return (
             spectrum.defocus_waves_per_nm * (nm - self.wavelength_nm[colour])
@@ -139,21 +142,22 @@ class TrueSensor:
     hot_pixels: int = 12
     dead_pixels: int = 6
     white_electrons_per_s: float = 1.15e6
-    """From the white panel, in the middle of the frame; other colours have the shares below."""
+    """Electrons from the white panel, in the middle of the frame; other colours have the shares below."""
     colour_response: Mapping[str, float] = field(
         default_factory=lambda: {"R": 0.85, "B": 0.75}
     )
     low_pass: LowPassFilter = field(default_factory=LowPassFilter)
     diffusion_px: float = 0.0
-    """Charge that wanders before it is caught: sigma of a Gaussian, pixel pitches."""
+    """Diffusion of charge before collection: sigma of a Gaussian, pixel pitches."""
 
 
 @dataclass(frozen=True, slots=True)
 class TruePanel:
-    """The glass: (height, width) in pixels, pitch, gamma, contrast, RMS of its smooth unevenness.
+    """The panel: (height, width) in pixels, pitch, gamma, contrast, RMS of its smooth unevenness.
 
-    layout: "rgb-stripes" lights a third of each pixel in each colour, red, green, blue from left to right, over a share
-    lit_across of its third and lit_down of its height; a pixel's mean radiance stays what it was. Black around them.
+    layout: "rgb-stripes" lights a third of each pixel in each colour, red, green, blue from
+    left to right, over a share lit_across of its third and lit_down of its height, with
+    black around; a pixel's mean radiance stays the same.
     """
 
     pixels: tuple[int, int] = (1536, 2048)
@@ -166,7 +170,10 @@ class TruePanel:
     lit_down: float = 0.88
 
     def lit(self, colour: str) -> Lit | None:
-        """The part of each pixel that shines in a colour; None for all of it. Raises ValueError for a colour of no stripe."""
+        """Return the part of each pixel that shines in a colour; None for all of it.
+
+        Raises ValueError for a colour without a stripe.
+        """
         if self.layout == "none":
             return None
         if colour not in ("R", "G", "B"):
@@ -184,7 +191,8 @@ class TruePanel:
 class TrueRail:
     """The rail: travel, its scatter from visit to visit, play between screw and carriage, the encoder's step.
 
-    range_at_zero_mm: as a plan has it, by tape; tape_error_mm: by how much the true range is longer.
+    range_at_zero_mm: as measured by tape in the plan; tape_error_mm: excess of the true
+    range
     """
 
     low_mm: float = 0.0
@@ -196,26 +204,28 @@ class TrueRail:
     range_at_zero_mm: float = 2950.0
     tape_error_mm: float = 0.0
     homing_scatter_mm: float = 0.0
-    """Standard deviation of where the home switch trips; the encoder counts from there and does not see it."""
+    """Standard deviation of the home switch's trip point, from which the encoder counts."""
     direction: int = 1
     smear: Smear = field(default_factory=Smear)
-    """By vibration, while the shutter is open."""
+    """Smear by vibration during the exposure."""
 
 
 @dataclass(frozen=True, slots=True)
 class TruePose:
-    """Largest errors of the camera's aim, drawn evenly within plus and minus this; the roll is at least half of it."""
+    """Largest errors of the camera's aim, drawn evenly within plus and minus these; the roll is at least half
+    its limit.
+    """
 
     tilt_deg: float = 0.3
     roll_deg: float = 1.2
     offset_px: float = 3.0
     wander_px: float = 0.5
-    """How far the picture moves from one stop of the rail to the next."""
+    """Movement of the image from one station of the rail to the next."""
 
 
 @dataclass(frozen=True, slots=True)
 class BenchSettings:
-    """Everything of the simulated world that is chosen; the seed draws the rest."""
+    """All chosen settings of the simulated world; the seed draws the rest."""
 
     seed: int = 1
     lens: TrueLens = TrueLens()
@@ -224,9 +234,9 @@ class BenchSettings:
     rail: TrueRail = TrueRail()
     pose: TruePose = TruePose()
     halo_um: float = 400.0
-    """How far out diffraction is followed ring by ring; beyond, only what is the mean of rings."""
+    """Radius up to which diffraction is followed ring by ring; beyond, the mean of rings is used."""
     samples_per_pixel: int = 10
-    """At least; a fast lens gets as many as its diffraction needs."""
+    """Least number of samples; a fast lens gets as many as its diffraction needs."""
 
 
 FAULTS = {
@@ -239,10 +249,11 @@ FAULTS = {
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """Trouble on a device's call number `call` (from 1: exposures, moves, pictures shown), `times` calls in a row.
+    """Trouble on a device's call number `call` (from 1: exposures, moves, pictures shown), `times` calls in a
+    row.
 
-    camera: timeout, unplug (until it is identified again), card_full (for good); rail: stall, limit, lost_steps;
-    display: sleep (until the next picture).
+    camera: timeout, unplug (until identified again), card_full (for good); rail: stall,
+    limit, lost_steps; display: sleep (until the next picture).
     """
 
     device: Literal["camera", "rail", "display"]
@@ -253,11 +264,12 @@ class Fault:
 
 @dataclass(frozen=True, slots=True)
 class Visit:
-    """The truth while the carriage stood at one stop: range asked for, true range, defocus in waves RMS per colour.
+    """The truth of one station: requested range, true range, defocus in waves RMS per colour.
 
-    range_mm: on the plan's scale; actual_range_mm: from the front principal plane; range_zero_mm: the true range less
-    what encoder and tape say, the same until the rail is homed again. target_to_pixels: (3, 3) panel mm (x right, y down
-    from the centre, 1) to pixels (column, row, 1), without lateral colour.
+    range_mm: on the plan's scale; actual_range_mm: from the front principal plane;
+    range_zero_mm: the true range less encoder and tape, the same until the rail is homed
+    again. target_to_pixels: (3, 3) panel mm (x right, y down from the centre, 1) to pixels
+    (column, row, 1), without lateral colour.
     """
 
     range_mm: float
@@ -269,11 +281,12 @@ class Visit:
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What an estimate may be compared with afterwards. Modes are {Noll: waves RMS at 450 nm} per colour.
+    """True values for comparison with an estimate. Modes are {Noll: waves RMS at 450 nm} per colour.
 
-    best_focus_mm: on the plan's scale, as the tape has it; range_zero_mm: the true range less that of the tape.
-    f_number: by clear area on the axis, and modes over that circle; outer_f_number: of the circle round the pupil;
-    clear_share: of that area, what a cat's eye leaves.
+    best_focus_mm: on the plan's scale, as measured by tape; range_zero_mm: the true range
+    less the tape's. f_number: by clear area on the axis, and modes over this circle;
+    outer_f_number: of the circle round the pupil; clear_share: share of this area that a
+    cat's eye leaves.
     """
 
     seed: int
@@ -293,5 +306,5 @@ class Truth:
     reference_wavelength_nm: float = REFERENCE_NM
 
     def to_json(self) -> str:
-        """All of it as JSON."""
+        """Return the truth as JSON."""
         return json.dumps(asdict(self), indent=1)

@@ -1,7 +1,8 @@
-"""Access to the pages: the token, the Host and the Origin of every request, and connections that stay silent.
+"""Access to the pages: the token, the Host and the Origin of every request, and silent connections.
 
-A stranger is a connection that has not yet shown the token. Strangers are shown out after a few seconds, and the
-oldest of them at once when there are many, so a flood of them costs the bench's own pages nothing.
+A connection is unknown until it shows the token. Unknown connections are closed after a few
+seconds, and the oldest at once when there are many, so a flood of them costs the bench's
+own pages nothing.
 """
 
 from __future__ import annotations
@@ -35,12 +36,12 @@ HEADERS = {
 
 
 def kept_token(folder: Path) -> str:
-    """The token of this user on this machine: the same from run to run, so that open pages find back."""
+    """Return the token of this user on this machine: constant from run to run, so that open pages reconnect."""
     return kept_secret(folder / "web-token")
 
 
 class Guard:
-    """Lets a request through to `app`, its path without the token, or answers that there is nothing."""
+    """Passes a request to `app`, its path without the token, or answers that there is nothing."""
 
     def __init__(self, app: ASGIApp, token: str) -> None:
         self._app = app
@@ -49,7 +50,7 @@ class Guard:
         self._names = {name, f"{name}.local"}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """ASGI."""
+        """Handle an ASGI connection."""
         if rest := self._admitted(scope):
             scope[LET_IN] = True
             await self._app({**scope, "path": rest}, receive, send)
@@ -61,7 +62,7 @@ class Guard:
             await send({"type": "http.response.body", "body": b""})
 
     def _admitted(self, scope: Scope) -> str | None:
-        """The path after the token, of a request that may come in."""
+        """Return the path after the token for an admitted request, else None."""
         headers: dict[bytes, bytes] = dict(scope["headers"])
         host, origin = headers.get(b"host", b"").decode("latin-1"), headers.get(b"origin")
         given, _, rest = scope["path"].removeprefix("/").partition("/")
@@ -76,7 +77,7 @@ class Guard:
         return f"/{rest}"
 
     def _is_us(self, host: str, server: tuple[str, int | None]) -> bool:
-        """Whether a Host header names the address that the connection came in by: a rebound name does not."""
+        """Whether a Host header names the address of this connection, unlike a rebound name."""
         try:
             parts = urlsplit(f"//{host}")
             name, port = (parts.hostname or "").lower(), parts.port or 80
@@ -96,10 +97,10 @@ class Guard:
 
 
 class Connection(H11Protocol):
-    """A connection that is shown out unless it shows the token soon."""
+    """A connection that is closed unless it shows the token soon."""
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """A stranger comes; the oldest goes, if there are too many."""
+        """Accept an unknown connection, and close the oldest if there are too many."""
         super().connection_made(transport)
         self.since = self.loop.time()
         strangers = [
@@ -113,7 +114,7 @@ class Connection(H11Protocol):
 
     @property
     def is_stranger(self) -> bool:
-        """Whether no request with the token has come; one that has been shown out is none."""
+        """Whether no request with the token has come over this open connection."""
         scope: dict[str, Any] | None = self.scope  # type: ignore[assignment]
         return not self.transport.is_closing() and (scope is None or LET_IN not in scope)
 

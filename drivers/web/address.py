@@ -1,4 +1,4 @@
-"""Web servers by their address: one serves all pages of a host and port, and runs as long as any of them is open."""
+"""Web servers by address: one serves all pages of a host and port, and runs while any of them is open."""
 
 from __future__ import annotations
 
@@ -20,7 +20,9 @@ ALLOWED = "web://HOST:PORT or web://HOST:PORT/NAME, such as web://127.0.0.1:8642
 
 
 def parse_address(address: str) -> tuple[str, int, str]:
-    """(host, port, name) of web://HOST:PORT/NAME; without a host, this machine alone. Raises PlanError."""
+    """Return (host, port, name) of web://HOST:PORT/NAME; without a host, of this machine alone. Raises
+    PlanError.
+    """
     try:
         parts = urlsplit(address)
         host, port, name = (
@@ -43,10 +45,10 @@ def parse_address(address: str) -> tuple[str, int, str]:
 
 @contextmanager
 def open_monitor(address: str, plan: Plan, context: DeviceContext) -> Iterator[Monitor]:
-    """The operator's page at an address, served as long as this context manager lasts.
+    """Serve the operator's page at an address until the end of the block.
 
-    `web:` is where the plan's display is served, if it is a web display, and else this machine alone.
-    Raises PlanError, or DisplayError for a port in use.
+    `web:` stands for the server of the plan's display, if this is a web display, and else
+    for this machine alone. Raises PlanError, or DisplayError for a port in use.
     """
     if (
         address == "web:"
@@ -60,7 +62,10 @@ def open_monitor(address: str, plan: Plan, context: DeviceContext) -> Iterator[M
 
 
 def shared_server(host: str, port: int, context: DeviceContext) -> Lease[WebServer]:
-    """The one server of a host and port in a context, started for its first user. Raises DisplayError for a port in use."""
+    """Lease the server of a host and port in a context, started for its first user.
+
+    Raises DisplayError for a port in use.
+    """
 
     def start() -> WebServer:
         server = WebServer(host, port, Monitor(context.requests, context.operator))

@@ -1,7 +1,8 @@
-"""A display that is any browser: an iPad or a monitor fills its screen with labkit's page.
+"""A display in any browser: an iPad or a monitor fills its screen with labkit's page.
 
-`web://127.0.0.1:8642` serves this machine alone; `web://0.0.0.0:8642` is reached from the lab's network. Several displays
-at once end their addresses in names: `web://0.0.0.0:8642/left` and `web://0.0.0.0:8642/right` share one server.
+`web://127.0.0.1:8642` serves this machine alone; `web://0.0.0.0:8642` also serves the lab's
+network. Addresses of several simultaneous displays end in names: `web://0.0.0.0:8642/left`
+and `web://0.0.0.0:8642/right` share one server.
 """
 
 from __future__ import annotations
@@ -28,7 +29,10 @@ PATIENCE_S = 2.0
 
 
 def open_display(address: str, plan: Plan, context: DeviceContext) -> WebDisplay:
-    """The screen of an address; the first starts the server. Raises PlanError, or DisplayError for a port in use."""
+    """Open the screen of an address; the first screen starts the server.
+
+    Raises PlanError, or DisplayError for a port in use.
+    """
     if plan.display is None:
         raise PlanError("a web display needs a plan with [display]")
     host, port, name = parse_address(address)
@@ -48,8 +52,8 @@ def open_display(address: str, plan: Plan, context: DeviceContext) -> WebDisplay
 class WebDisplay(ClosesItself):
     """A Display on a web page: a picture counts as shown when its page has read it back.
 
-    hold_s: how long to wait for a page that is not right; glass: is given what the page was sent and has confirmed. It brings
-    the operator's page of its server as an observer.
+    hold_s: longest wait for a page that is not ready; glass: receives the picture sent to
+    and confirmed by the page. The operator's page of the server is an observer.
     """
 
     def __init__(
@@ -75,7 +79,7 @@ class WebDisplay(ClosesItself):
 
     @property
     def panel(self) -> PanelInfo:
-        """The glass, as the plan describes it."""
+        """The panel, as the plan describes it."""
         return self._screen.panel
 
     @property
@@ -84,7 +88,7 @@ class WebDisplay(ClosesItself):
         return self._screen.url
 
     def show(self, picture: Picture) -> Shown:
-        """Show it; holds until the page confirms it. Raises DisplayError if that takes longer than hold_s."""
+        """Show a picture, and wait for the page's confirmation. Raises DisplayError after hold_s."""
         if isinstance(picture, str):
             picture = pattern(picture, self.panel)
         order = self._screen.want(picture)
@@ -94,7 +98,7 @@ class WebDisplay(ClosesItself):
         return Shown((picture.shape[0], picture.shape[1]))
 
     def undisturbed(self) -> bool:
-        """Whether the picture was there all the time since it was shown, by a fresh report, waited for as in show."""
+        """Whether the picture stayed whole since `show`, by a fresh report, awaited as in `show`."""
         number = self._screen.request_report()
         now = self._hold(lambda: self._screen.problem is None and self._answered(number))
         if self._shown is None:
@@ -116,7 +120,7 @@ class WebDisplay(ClosesItself):
         return report is not None and report.asked >= number
 
     def _hold(self, good: Callable[[], bool]) -> Report:
-        """Wait until it is right, warning of what is not; the report that it is right by."""
+        """Wait for a good report with warnings meanwhile, and return the report."""
         since, warned = time.monotonic(), None
         screen = self._screen
         while True:

@@ -1,4 +1,4 @@
-"""What the operator's page shows, and the buttons on it: an observer of captures."""
+"""The content of the operator's page and its buttons: an observer of captures."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LOG_LINES, SHARPNESS_POINTS = 200, 60
 
 
 class Monitor:
-    """The state of the operator's page. The capture's thread writes it, the server's reads it."""
+    """The state of the operator's page. The capture's thread writes, the server's thread reads."""
 
     def __init__(
         self,
@@ -49,7 +49,7 @@ class Monitor:
     # the capture's side
 
     def noted(self, event: str, **fields: Any) -> None:
-        """Something happened."""
+        """Receive an event."""
         with self._lock:
             self._take_note(event, fields)
             if event != "doing":
@@ -65,7 +65,7 @@ class Monitor:
         done: int,
         total: int,
     ) -> None:
-        """A photograph is in the session."""
+        """Receive a photograph of the session."""
         self._show(look_at(name, kind, range_mm, mosaic))
         with self._lock:
             self._pace.at(done, total, self._now())
@@ -79,7 +79,7 @@ class Monitor:
         self.wake()
 
     def saw(self, look: Look) -> None:
-        """A photograph that is no frame."""
+        """Receive a photograph that is no frame."""
         self._show(look)
         self.wake()
 
@@ -110,7 +110,7 @@ class Monitor:
     # the page's side
 
     def act(self, what: str) -> None:
-        """A button: pause, resume, abort, or one of the choices. Anything else is ignored."""
+        """Act on a button: pause, resume, abort, or one of the choices. Other names are ignored."""
         with self._lock:
             if what in self._choices:
                 self._requests.put(what)
@@ -122,14 +122,14 @@ class Monitor:
         self.wake()
 
     def answer(self, number: int, text: str) -> None:
-        """An answer to the question of that number; ignored if it has been answered."""
+        """Answer the question of a number; a second answer is ignored."""
         if self._operator.answer(number, text):
             with self._lock:
                 self._write(f"operator: {text or 'done'}")
             self.wake()
 
     def snapshot(self) -> dict[str, Any]:
-        """All that the page shows, for JSON; without the displays, which the server knows."""
+        """Return the content of the page, for JSON, without the displays, which the server knows."""
         question = self._operator.question
         with self._lock:
             return {
@@ -155,12 +155,12 @@ class Monitor:
             self._listeners[who] = wake
 
     def unlisten(self, who: object) -> None:
-        """No more."""
+        """Remove a listener."""
         with self._lock:
             self._listeners.pop(who, None)
 
     def wake(self) -> None:
-        """Notify every listener of something new, a question among it."""
+        """Notify every listener of changes, such as a question."""
         question = self._operator.question
         with self._lock:
             if question is not None and question.number > self._questions:
@@ -199,7 +199,7 @@ class Monitor:
         )
 
     def _left_s(self) -> int | None:
-        """Seconds left at the pace so far, 1 at least, pauses not counted; None before two photographs show a pace."""
+        """Return the seconds left at the present pace, at least 1, without pauses; None before two photographs."""
         left_s = (
             None
             if self._paused or self._phase != "capturing"
@@ -244,7 +244,7 @@ class Monitor:
 
 
 def in_words(event: str, fields: dict[str, Any]) -> str:
-    """An event of the journal as a line for people."""
+    """Return an event of the journal as a line for people."""
     match event, fields:
         case "began", {"missing": missing}:
             return f"began: {missing} photographs to take"

@@ -1,4 +1,4 @@
-"""Which pages labkit serves on this machine now: each server of this user notes its address, and is asked there."""
+"""List labkit's pages on this machine: each server of this user records its address, and answers for its pages."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ANSWER_S = 2.0
 
 
 def note(url: str, address: str) -> Path:
-    """Note that an operator's page is served, for this user alone; the file to remove when it is not any more."""
+    """Record a served operator's page, for this user alone; return the file to remove at its end."""
     file = state_folder() / "pages" / f"{os.getpid()}-{urlsplit(url).port}.json"
     with contextlib.suppress(Exception):  # a page that is not listed is served all the same
         file.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -31,7 +31,7 @@ def note(url: str, address: str) -> Path:
 
 
 def find_pages() -> list[tuple[str, str, str]]:
-    """(address for a plan, URL, what it says) of each page that is served now: the operator's, and each display's."""
+    """Return (address for a plan, URL, state) of each page served now: the operator's, and each display's."""
     return [
         page
         for file in sorted((state_folder() / "pages").glob("*.json"))
@@ -61,7 +61,7 @@ def _pages(file: Path) -> Iterator[tuple[str, str, str]]:
 
 
 def _state(url: str) -> dict[str, Any]:
-    """What the operator's page is sent first."""
+    """Return the first message to the operator's page."""
     origin = Origin(f"http://{urlsplit(url).netloc}")
     with connect(
         f"ws{url.removeprefix('http')}/socket", origin=origin, open_timeout=ANSWER_S

@@ -1,4 +1,4 @@
-"""A summary of a photograph for the operator's page: a small picture, how light it is, how sharp."""
+"""A summary of a photograph for the operator's page: a small picture, light and sharpness."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ BINS = 64
 
 @dataclass(frozen=True, slots=True)
 class FrameSummary:
-    """A photograph in numbers. edge_px: pixels over which its sharpest edges rise, None for one that is to be even.
+    """A photograph in numbers. edge_px: rise of the sharpest edges in pixels, None for an even photograph.
 
-    histogram: share of pixels in 64 equal steps from black to white, and what is beyond; note: what to say of it.
+    histogram: share of pixels in 64 equal steps from black to white, and beyond; note:
+    remark on the photograph
     """
 
     number: int
@@ -32,7 +33,7 @@ class FrameSummary:
 
 
 def look_at(name: str, kind: FrameKind, range_mm: float | None, mosaic: Mosaic) -> Look:
-    """A frame of a session as the page shows it."""
+    """Return a frame of a session as the page shows it."""
     return Look(
         name,
         range_mm,
@@ -42,7 +43,7 @@ def look_at(name: str, kind: FrameKind, range_mm: float | None, mosaic: Mosaic) 
 
 
 def summarise(number: int, look: Look) -> tuple[FrameSummary, bytes]:
-    """A photograph's summary, and its picture as JPEG."""
+    """Return a photograph's summary, and its picture as JPEG."""
     light = exposure(look.mosaic)
     summary = FrameSummary(
         number,
@@ -57,7 +58,9 @@ def summarise(number: int, look: Look) -> tuple[FrameSummary, bytes]:
 
 
 def exposure(mosaic: Mosaic) -> tuple[float, float]:
-    """Percentage of pixels at or above white, and the middle pixel in percent of the way from black to white."""
+    """Return the percentage of pixels at or above white, and the median in percent of the way from black to
+    white.
+    """
     clipped = 100 * np.count_nonzero(mosaic.counts >= mosaic.white) / mosaic.counts.size
     black = float(mosaic.black.mean())
     return float(clipped), float(
@@ -66,7 +69,9 @@ def exposure(mosaic: Mosaic) -> tuple[float, float]:
 
 
 def histogram(mosaic: Mosaic) -> list[float]:
-    """Share of pixels in 64 equal steps from black to white; what is below or above counts in the first and last."""
+    """Return the share of pixels in 64 equal steps from black to white; values beyond count in the first and
+    last.
+    """
     of_count = np.bincount(mosaic.counts.ravel(), minlength=1)
     black = float(mosaic.black.mean())
     step = np.floor((np.arange(of_count.size) - black) / (mosaic.white - black) * BINS)

@@ -1,6 +1,7 @@
-"""One screen that a web page fills: the picture ordered for it, its page's reports, what is wrong with it.
+"""One screen of a web page: its ordered picture, its page's reports, and their faults.
 
-The capture's thread orders pictures and waits; the server's thread brings the page's reports. All of it under one lock.
+The capture's thread orders pictures and waits; the server's thread brings the page's
+reports, all under one lock.
 """
 
 from __future__ import annotations
@@ -33,9 +34,10 @@ Counter = Annotated[int, Field(ge=0, le=2**53)]
 class Report(BaseModel):
     """A page's report of its own state.
 
-    pixels: measured (height, width) of its canvas on the glass; exact: whether these are whole device pixels; zoom: of
-    the fingers; shown: number of the picture it drew two frames ago, and crc, of the grey values read back from the
-    canvas; disturbed: how often its picture was not whole on the glass; asked: the last request that it answers.
+    pixels: measured (height, width) of its canvas on the glass; exact: whether these are
+    whole device pixels; zoom: of the fingers; shown: number of the picture drawn two frames
+    ago, and crc, of the grey values read back from the canvas; disturbed: number of times
+    when the picture was not whole; asked: the last request answered.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
@@ -60,7 +62,7 @@ class Order:
     crc: int
 
     def picture(self) -> NDArray[np.uint8]:
-        """Its grey values, (height, width), as the page decodes them."""
+        """Return the picture's grey values, (height, width), as the page decodes them."""
         return np.asarray(
             cv2.imdecode(np.frombuffer(self.png, np.uint8), cv2.IMREAD_GRAYSCALE),
             dtype=np.uint8,
@@ -112,14 +114,14 @@ class Screen:
         return self.order
 
     def request_report(self) -> int:
-        """Request a fresh report from the page; the number that it will answer with."""
+        """Request a fresh report from the page; return the number of its answer."""
         with self.changed:
             self.asked += 1
         self._wake()
         return self.asked
 
     def open(self, page: object, wake: Callable[[], None]) -> None:
-        """A page's connection comes, in place of any before; `wake` is called, from any thread, when there is something new."""
+        """Connect a page in place of any earlier page; `wake` is called, from any thread, after changes."""
         with self.changed:
             previous, self._page, self._wake, self._report = self._wake, page, wake, None
             self.changed.notify_all()
@@ -133,11 +135,11 @@ class Screen:
         wake()
 
     def holds(self, page: object) -> bool:
-        """Whether this connection is still the screen's, not an older one."""
+        """Whether a connection is the screen's latest."""
         return self._page is page
 
     def leave(self, page: object) -> None:
-        """A connection is gone."""
+        """Disconnect a page."""
         with self.changed:
             if self._page is page:
                 self._page, self._report = None, None
@@ -145,7 +147,7 @@ class Screen:
                 self.changed.notify_all()
 
     def hear(self, page: object, report: Report) -> None:
-        """A page's report."""
+        """Receive a page's report."""
         with self.changed:
             if self._page is page:
                 self._report, self._heard = report, self._now()
@@ -153,12 +155,12 @@ class Screen:
 
     @property
     def report(self) -> Report | None:
-        """The page's last report, unless it is lost."""
+        """The page's last report, unless the page is lost."""
         return self._report if self._now() - self._heard <= SILENT_S else None
 
     @property
     def problem(self) -> str | None:
-        """Why this screen can show nothing, and what to do; None when it can."""
+        """Reason why this screen can show nothing, and the remedy; None if it can."""
         report = self.report
         if report is None:
             return "no page answers: open its address on the display"
@@ -179,7 +181,7 @@ class Screen:
         return None
 
     def confirms(self, order: Order) -> bool:
-        """Whether the page has reported this picture on the glass as it should be."""
+        """Whether the page has reported this picture on the glass without fault."""
         report = self.report
         return (
             report is not None
@@ -189,7 +191,7 @@ class Screen:
 
 
 def size_problem(pixels: tuple[int, int], panel: PanelInfo) -> str | None:
-    """What is wrong with a page of (height, width) pixels on a panel; None if they fit."""
+    """Describe how a page of (height, width) pixels does not fit a panel; None if it fits."""
     if pixels == panel.pixels:
         return None
     has = f"its page is {pixels[1]} × {pixels[0]} pixels, the panel {panel.pixels[1]} × {panel.pixels[0]}"

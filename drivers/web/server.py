@@ -74,7 +74,7 @@ class Press(BaseModel):
 
 
 class Answer(BaseModel):
-    """An answer to the question of that number: nothing that a terminal would not take as text."""
+    """An answer to the question of a number, limited to text that a terminal would take."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
@@ -87,7 +87,7 @@ PRESS_OR_ANSWER: TypeAdapter[Press | Answer] = TypeAdapter(Press | Answer)
 
 @cache
 def page_files() -> dict[str, bytes]:
-    """Every file that is ever served, by name."""
+    """Return every served file, by name."""
     return {
         entry.name: entry.read_bytes()
         for entry in (files("labkit.targets") / "web").iterdir()
@@ -98,7 +98,7 @@ class WebServer:
     """Listens on one address: screens, which come and go, and the operator's page of `monitor`."""
 
     def __init__(self, host: str, port: int, monitor: Monitor) -> None:
-        """Raises DisplayError if the address cannot be listened on."""
+        """Bind the address. Raises DisplayError if this fails."""
         self._socket = _listen(host, port)
         self._host, self.port = host, self._socket.getsockname()[1]
         self.token = kept_token(state_folder())
@@ -130,7 +130,7 @@ class WebServer:
         self._thread = threading.Thread(target=self._run, name="labkit-web", daemon=True)
 
     def start(self) -> None:
-        """Serve. Raises DisplayError if it does not come up."""
+        """Serve. Raises DisplayError if the server does not start."""
         self._thread.start()
         deadline = time.monotonic() + START_S
         while not self._server.started:
@@ -155,11 +155,11 @@ class WebServer:
         self._socket.close()
 
     def url(self, page: str) -> str:
-        """The address of a page, by which other machines reach it."""
+        """Return the address of a page for other machines."""
         return f"http://{reachable(self._host)}:{self.port}/{self.token}/{page}"
 
     def add_screen(self, name: str, panel: PanelInfo) -> Screen:
-        """A screen of that name. Raises PlanError if there is one already."""
+        """Add a screen of a name. Raises PlanError if the name exists."""
         if name in self.screens:
             raise PlanError(
                 f'two displays are called "{name}": end their addresses in different names'
@@ -292,7 +292,7 @@ async def _converse(
     wake: _Alarm,
     pause_s: float,
 ) -> None:
-    """Take a page's messages and send it what is new, until it goes, or `message` gives a code to end by."""
+    """Receive a page's messages and send changes, until it leaves, or `message` gives a closing code."""
     listener = asyncio.create_task(_listen_to(socket, hear))
     sent: dict[str, Any] | None = None
     sent_at = 0.0
@@ -329,7 +329,7 @@ async def _within(step: Awaitable[None]) -> None:
 
 
 def _message(screen: Screen) -> dict[str, Any]:
-    """What is sent to a screen's page."""
+    """Return the message to a screen's page."""
     return {
         "name": screen.name,
         "panel": list(screen.panel.pixels),
@@ -369,7 +369,7 @@ def _listen(host: str, port: int) -> socket.socket:
 
 
 def reachable(host: str) -> str:
-    """An address for a URL: of a server on all of a machine's addresses, the one that others reach it by."""
+    """Return an address for a URL; for a server on all addresses, the one that other machines reach."""
     if host not in ("0.0.0.0", "::", ""):
         return f"[{host}]" if ":" in host else host
     six = host == "::"

@@ -1,4 +1,4 @@
-"""Whether a Zaber stage answers at a serial port: it is asked for its state, and nothing moves."""
+"""Detect a Zaber stage at a serial port by asking for its state; nothing moves."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ NUMBER = 17
 
 
 def answers(path: str) -> str | None:
-    """What it is, "Zaber"; None for whatever else is there. Raises RailError for a port that does not open."""
+    """Return "Zaber" for a Zaber stage; None for any other device. Raises RailError for a port that does not
+    open.
+    """
     wire = SerialWire(path, 115_200)
     try:
         end_s = time.monotonic() + ANSWER_S

@@ -49,23 +49,23 @@ class Reply:
 
     @property
     def is_fault(self) -> bool:
-        """Whether the axis cannot be trusted to stand where it reports."""
+        """Whether the axis's reported position is unreliable."""
         return self.flag[0] == "F" or self.flag in UNREFERENCED
 
 
 def checksum(text: str) -> str:
-    """Two hexadecimal digits that bring the sum of all bytes after the first, with themselves, to 0 modulo 256."""
+    """Return two hexadecimal digits that bring the sum of all bytes after the first to 0 modulo 256."""
     return f"{-sum(text[1:].encode()) & 0xFF:02X}"
 
 
 def command_line(device: int, axis: int, number: int, command: str) -> bytes:
-    """A whole command; an empty one requests the status."""
+    """Return a whole command; an empty command requests the status."""
     text = f"/{device} {axis} {number:02d} {command}".rstrip()
     return f"{text}:{checksum(text)}\n".encode()
 
 
 def read_reply(line: str) -> Reply | None:
-    """The reply in a line with a valid checksum; None for alerts, information, and anything damaged."""
+    """Return the reply in a line with a valid checksum; None for alerts, information and damaged lines."""
     text, _, check = line.rpartition(":")
     found = REPLY.fullmatch(text)
     if not found or check != checksum(text):

@@ -1,7 +1,8 @@
 """A Zaber stage, in its ASCII protocol: zaber:/dev/ttyUSB0, the only device on its chain, or zaber:simulated.
 
-Rail positions are mm from the home sensor. The stage counts microsteps; their size is in the plan. Replies carry the id
-of their command and a checksum, so that late, stale and damaged ones are recognised and dropped.
+Rail positions are mm from the home sensor. The stage counts microsteps; their size is in
+the plan. Replies carry the id of their command and a checksum, so that late, stale and
+damaged ones are recognised and dropped.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ HOMING_S = 60.0
 
 
 def open_rail(address: str, plan: Plan, context: DeviceContext) -> ZaberRail:
-    """The stage at zaber:PORT, or a simulated one at zaber:simulated. Raises PlanError, RailError."""
+    """Open the stage at zaber:PORT, or a simulated stage at zaber:simulated. Raises PlanError, RailError."""
     rail = rail_settings(address, plan)
     if rail.microstep_um is None:
         raise PlanError(
@@ -88,7 +89,7 @@ class ZaberRail(SerialRail):
             self._homed = True
 
     def stop(self) -> None:
-        """Brake and stand; the position is kept. May be called from another thread than the one that moves.
+        """Brake and stand; the position is kept. Any thread may call this.
 
         Raises RailError, DeviceTimeoutError.
         """
@@ -106,7 +107,7 @@ class ZaberRail(SerialRail):
             self._stopping = False
 
     def close(self) -> None:
-        """Stop it and let it go; again does nothing."""
+        """Stop and release the stage; again does nothing."""
         if self._wire is not None:
             with contextlib.suppress(RailError):
                 self._send(command_line(DEVICE, AXIS, NOBODY, "stop"))
@@ -129,7 +130,7 @@ class ZaberRail(SerialRail):
         return self._at_mm
 
     def _get_to_know(self) -> None:
-        """Limits and speed. Raises RailError for limits that leave no room to move."""
+        """Read limits and speed. Raises RailError for limits without room to move."""
         low, high, speed = (
             self._number_of(name) for name in ("limit.min", "limit.max", "maxspeed")
         )
@@ -149,7 +150,7 @@ class ZaberRail(SerialRail):
         return self._number_of("pos") * self._microstep_mm
 
     def _check_in_place(self, wanted_mm: float, why: str) -> float:
-        """Where it stands; raises unless that is where it should be."""
+        """Return the measured position; raise an error unless it is the expected one."""
         self._check(self._ask(""))
         at_mm = self._position_mm()
         if abs(at_mm - wanted_mm) > TOLERANCE_MM:
@@ -168,7 +169,7 @@ class ZaberRail(SerialRail):
             )
 
     def _await_rest(self, within_s: float, stale_faults: bool = False) -> None:
-        """Wait until it stands. stale_faults: warnings from before do not count yet."""
+        """Wait for rest. stale_faults: whether earlier warnings are ignored at first."""
         deadline_s = time.monotonic() + within_s
         while time.monotonic() < deadline_s:
             reply = self._ask("")
@@ -181,7 +182,9 @@ class ZaberRail(SerialRail):
         raise DeviceTimeoutError(f"{self} still moved after {within_s:.0f} s; home it")
 
     def _ask(self, command: str) -> Reply:
-        """The reply to a command, which is sent again when none comes. Raises RailError, DeviceTimeoutError."""
+        """Return the reply to a command, which is sent again without a reply. Raises RailError,
+        DeviceTimeoutError.
+        """
         for _ in range(TRIES):
             self._number = (self._number + 1) % NOBODY
             self._send(command_line(DEVICE, AXIS, self._number, command))
@@ -199,7 +202,7 @@ class ZaberRail(SerialRail):
         )
 
     def _hear(self, number: int) -> Reply | None:
-        """The reply with this id, if it comes in time; all else is dropped."""
+        """Return the reply with this id, if it comes in time; drop all others."""
         deadline_s = time.monotonic() + self._reply_s
         while (line := self._line(deadline_s)) is not None:
             reply = read_reply(line)

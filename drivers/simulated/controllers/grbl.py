@@ -1,7 +1,7 @@
 """A GRBL 1.1 or grblHAL controller without hardware, behind a real pseudo-terminal.
 
-As rail.address = "grbl:simulated" it stands in for a rail;
-`python -m labkit.drivers.simulated.controllers.grbl` serves one to any program that speaks GRBL.
+As rail.address = "grbl:simulated" it replaces a rail; `python -m
+labkit.drivers.simulated.controllers.grbl` serves any program that speaks GRBL.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def grbl_port(
     options: str = "V",
     faults: Sequence[LineFault] = (),
 ) -> PtyPort:
-    """A controller for LEADSCREW, but for the settings given, behind a port of its own."""
+    """Return a controller for LEADSCREW, except for the given settings, behind its own port."""
     known = {
         number: value for number, value in LEADSCREW.items() if number in firmware.defaults
     }
@@ -37,7 +37,9 @@ def grbl_port(
 
 
 def simulated_port(address: str, plan: Plan, context: DeviceContext) -> PtyPort:
-    """A controller whose travel holds the plan's stops; it moves the carriage of the context's simulated bench, if any."""
+    """Return a controller whose travel covers the plan's stations; it moves the context's simulated bench, if
+    any.
+    """
     rail = rail_of(address, plan)
     stops_mm = [rail.position_mm(range_mm) for range_mm in rail.ranges_mm]
     zero_at_home = min(stops_mm) >= 0

@@ -1,7 +1,8 @@
 """A simulated GRBL 1.1 or grblHAL controller in its own time: bytes in, bytes out, without a port.
 
-It answers as the real firmwares were recorded to: `ok` when a line is queued, silence while homing and after a soft limit
-until it is reset, alarms when it is reset in motion, work offsets and overrides in some reports only.
+The answers follow recordings of the real firmwares: `ok` when a line is queued, silence
+while homing and after a soft limit until a reset, alarms after a reset in motion, work
+offsets and overrides in some reports only.
 """
 
 from __future__ import annotations
@@ -26,12 +27,12 @@ REFRESH = {"WCO": (9, 29), "Ov": (9, 19)}
 
 
 class GrblController:
-    """Settings and firmware, where the carriage truly stands at power-up, and whether homing finds its switch.
+    """A controller with settings and firmware, a true place of the carriage at power-up, and a home switch.
 
-    limit_alarm: 1 stops everything until a reset, as the firmware on a microcontroller does; 3 is what the firmware
-    compiled for a computer was recorded to do, a reset in motion. blank: settings were never stored.
-    `noticed` is called with each line and real-time command as it comes in, `moved` where the carriage truly stands whenever
-    it comes to rest.
+    limit_alarm: 1 stops everything until a reset, like the firmware on a microcontroller; 3
+    is a reset in motion, recorded from the firmware compiled for a computer. blank: whether
+    settings were never stored. `noticed` is called with each received line and real-time
+    command, `moved` with the true place of the carriage at rest.
     """
 
     def __init__(
@@ -81,7 +82,7 @@ class GrblController:
         self._interpreter = Interpreter(self)
 
     def power_on(self) -> None:
-        """Begin as after a power cut: counted from zero, locked if it must be homed."""
+        """Begin as after a power cut: counted from zero, locked if homing is required."""
         self.machine.forget(self.now_s)
         locks = int(self.settings[HOMING]) & (4 if self.firmware.is_hal else 1)
         self._forget("Alarm" if locks else "Idle")
@@ -92,7 +93,7 @@ class GrblController:
         self._greet()
 
     def tell_settings(self) -> None:
-        """All of them, as $$ does."""
+        """Send all settings, in answer to $$."""
         for number, value in sorted(self.settings.items()):
             self.say(f"${number}={self.firmware.show(number, value)}")
 
@@ -112,7 +113,7 @@ class GrblController:
         self._work()
 
     def advance(self, now_s: float) -> bytes:
-        """Do what is due by then, and return what was said."""
+        """Run all events up to a time, and return the output."""
         while (due_s := self.due_s()) is not None and due_s <= now_s:
             self.now_s = due_s
             self._happen()
@@ -123,7 +124,7 @@ class GrblController:
         return said
 
     def due_s(self) -> float | None:
-        """When something happens next by itself."""
+        """Return the time of the next event."""
         motion = self.machine.motion
         times = [
             self._due_s,
@@ -134,11 +135,11 @@ class GrblController:
         return min((time for time in times if time is not None), default=None)
 
     def say(self, text: str) -> None:
-        """A line out."""
+        """Send a line."""
         self._said += f"{text}\r\n".encode()
 
     def limit(self) -> None:
-        """The limit switch is pressed, or seems to be."""
+        """Trip the limit switch."""
         if self.limit_alarm == 3:
             self.reset(moving=True)
             return
@@ -147,19 +148,19 @@ class GrblController:
         self.critical(1)
 
     def critical(self, alarm: int) -> None:
-        """An alarm after which nothing is answered until a reset."""
+        """Raise an alarm that stops all answers until a reset."""
         self.state, self.dead = "Alarm", True
         self._due_s = self._start_s = None
         self.say(f"ALARM:{alarm}")
         self.say("[MSG:Reset to continue]")
 
     def refuse_move(self) -> None:
-        """Soft limits: the line stays unanswered, and only a reset brings its ok, too late."""
+        """Apply soft limits: the line stays unanswered, and only a reset brings its ok, too late."""
         self._refused = True
         self.critical(2)
 
     def strike(self, trouble: str) -> None:
-        """Trouble from outside: reboot (power cut), reset (the button), alarm (the limit switch), slip (by 3 mm)."""
+        """Cause trouble: reboot (power cut), reset (the button), alarm (the limit switch), slip (by 3 mm)."""
         match trouble:
             case "reboot":
                 self.power_on()
@@ -172,7 +173,7 @@ class GrblController:
                 self.moved(self.machine.carriage_mm(self.now_s))
 
     def reset(self, moving: bool | None = None) -> None:
-        """A soft reset, from the line or from a button."""
+        """Reset softly, by the line or by a button."""
         homing = self.state == "Home"
         if moving is None:
             moving = self.state in ("Run", "Jog") or isinstance(
@@ -199,7 +200,7 @@ class GrblController:
         return len(self.machine.planned) < self.firmware.blocks
 
     def begin_homing(self) -> None:
-        """Search for the switch; the line's ok comes when it is found."""
+        """Search for the switch; the line's ok comes with the switch."""
         self.state, self._began_s = "Home", self.now_s
         self._due_s = self.now_s + (
             self.machine.homing_s()
@@ -230,7 +231,7 @@ class GrblController:
             self.machine.brake(self.now_s)
 
     def _work(self) -> None:
-        """Execute the lines whose turn it is, and set out where a move is planned."""
+        """Execute the next lines, and start planned moves."""
         while True:
             if self.machine.planned and self.machine.motion is None:
                 self._set_out()
@@ -267,7 +268,7 @@ class GrblController:
         self._interpreter.after()
 
     def _happen(self) -> None:
-        """What is due now."""
+        """Run the event that is due."""
         if self._due_s is not None and self._due_s <= self.now_s:
             self._due_s = None
             if self.dead:
@@ -312,7 +313,7 @@ class GrblController:
         self.say("ok")
 
     def _forget(self, state: str) -> None:
-        """What a reset clears."""
+        """Clear the state that a reset clears."""
         self.state, self.dead, self.wedged, self.checking = state, False, False, False
         self._typed.clear()
         self._lines.clear()
@@ -365,7 +366,7 @@ class GrblController:
         self.say(f"<{'|'.join(fields)}>")
 
     def offset_changed(self) -> None:
-        """The next report gives the work offset."""
+        """Include the work offset in the next report."""
         self._until_refresh["WCO"] = 0
 
     def _turn(self, name: str, moving: bool) -> bool:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Firmware:
-    """What distinguishes one firmware from the other. defaults: settings as it prints them, by number."""
+    """Differences between the firmwares. defaults: settings as printed, by number."""
 
     banner: str
     about: tuple[str, ...]
@@ -18,7 +18,7 @@ class Firmware:
     is_hal: bool = False
 
     def show(self, number: int, value: float) -> str:
-        """A setting's value, with as many decimals as the firmware gives it."""
+        """Return a setting's value with the firmware's number of decimals."""
         return f"{value:.{len(self.defaults[number].partition('.')[2])}f}"
 
 

@@ -1,4 +1,4 @@
-"""The G-code that the simulated GRBL understands: a line into words, with GRBL's error numbers."""
+"""Parse the G-code of the simulated GRBL: a line into words, with GRBL's error numbers."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class GcodeError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """One line: G numbers, axis words in mm or inches as given, F, and what else there is by letter."""
+    """One line: G numbers, axis words in mm or inches as given, F, and other words by letter."""
 
     g: frozenset[int]
     axes: dict[int, float] = field(default_factory=dict)
@@ -34,7 +34,7 @@ class Block:
 
 
 def clean(line: str) -> str:
-    """A line as GRBL stores it: no spaces, no comments, capitals. Raises GcodeError 11 where it is too long."""
+    """Return a line as GRBL stores it: no spaces, no comments, capitals. Raises GcodeError 11 if too long."""
     bare = re.sub(r"\([^)]*\)?|;.*|\s", "", line).upper()
     if len(bare) > LONGEST:
         raise GcodeError(11)
@@ -42,7 +42,7 @@ def clean(line: str) -> str:
 
 
 def parse(line: str) -> Block:
-    """The words of a cleaned line. Raises GcodeError 2, 4, 20, 21 or 25."""
+    """Return the words of a cleaned line. Raises GcodeError 2, 4, 20, 21 or 25."""
     g: set[int] = set()
     axes: dict[int, float] = {}
     values: dict[str, float] = {}

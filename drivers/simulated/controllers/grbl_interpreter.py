@@ -1,4 +1,4 @@
-"""How the simulated GRBL executes a line: settings and $ commands, moves, jogs, dwells, offsets."""
+"""Execute lines of the simulated GRBL: settings and $ commands, moves, jogs, dwells, offsets."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ INCH_MM = 25.4
 
 
 class Interpreter:
-    """Modal state since the last reset, and what lines do to a controller."""
+    """Modal state since the last reset, and the effects of lines on a controller."""
 
     def __init__(self, controller: GrblController) -> None:
         self._of = controller
@@ -37,7 +37,7 @@ class Interpreter:
         return self._gcode(parse(line))
 
     def after(self) -> None:
-        """What comes after a line's reply."""
+        """Send the output that follows a line's reply."""
         then, self._then = self._then, []
         for what in then:
             if what == "reset":
@@ -142,7 +142,7 @@ class Interpreter:
         return True
 
     def _offset(self, block: Block) -> None:
-        """G10 L2 sets the work zero, G10 L20 makes the present place read as given."""
+        """Set the work zero by G10 L2, or by the present place's reading with G10 L20."""
         controller = self._of
         if block.values.get("L") not in (2, 20):
             raise GcodeError(20)

@@ -1,4 +1,6 @@
-"""What a simulated GRBL moves: three axes, the plan of moves ahead, and the true carriage behind the counted steps."""
+"""The machine behind a simulated GRBL: three axes, planned moves, and the true carriage behind the counted
+steps.
+"""
 
 from __future__ import annotations
 
@@ -25,17 +27,17 @@ SWITCH_MM = 0.005
 
 @dataclass(frozen=True, slots=True)
 class Planned:
-    """A move that waits its turn; speed in mm/s."""
+    """A waiting move; speed in mm/s."""
 
     target: Point
     speed: float
 
 
 class Machine:
-    """Positions in mm, times in s. `position` is where the firmware believes to stand, in machine coordinates.
+    """Positions in mm, times in s. `position` is the firmware's own count, in machine coordinates.
 
-    The carriage truly stands `slip_mm` beyond that along X; a correct homing makes the slip zero, and
-    motion that is cut off adds `lost_mm` to it.
+    The carriage is truly `slip_mm` beyond the count along X. A correct homing makes the
+    slip zero, and interrupted motion adds `lost_mm`.
     """
 
     def __init__(
@@ -58,7 +60,7 @@ class Machine:
         self.motion: Move | Braking | None = None
 
     def place(self, now_s: float) -> Point:
-        """Where the firmware counts itself to be."""
+        """Return the place that the firmware counts."""
         if self.motion is None:
             return self.position
         if isinstance(self.motion, Braking):
@@ -66,11 +68,11 @@ class Machine:
         return self.motion.at(self.motion.along(now_s)[0])
 
     def carriage_mm(self, now_s: float) -> float:
-        """Where the carriage truly is along X."""
+        """Return the true place of the carriage along X."""
         return self.place(now_s)[0] + self.slip_mm
 
     def end(self) -> Point:
-        """Where it will stand when all that is planned is done."""
+        """Return the place after all planned moves."""
         return self.planned[-1].target if self.planned else self.position
 
     def start(self, now_s: float) -> None:
@@ -85,14 +87,14 @@ class Machine:
         )
 
     def arrive(self, now_s: float) -> None:
-        """The present motion is over: a move is done with, a braked one still waits for the rest of its way."""
+        """End the present motion; a braked move keeps the rest of its way."""
         braked = isinstance(self.motion, Braking)
         self.position, self.motion = self.place(now_s), None
         if not braked:
             self.planned.popleft()
 
     def brake(self, now_s: float) -> None:
-        """Begin to slow down, if it moves."""
+        """Begin to slow down any motion."""
         if isinstance(self.motion, Move):
             self.motion = Braking(self.motion, now_s)
 
@@ -105,7 +107,7 @@ class Machine:
         self.planned.clear()
 
     def forget(self, now_s: float) -> None:
-        """Power was off: counting begins anew at zero, wherever the carriage is."""
+        """Restart the count at zero after a power cut, wherever the carriage is."""
         true_mm = self.carriage_mm(now_s)
         self.planned.clear()
         self.position, self.motion, self.slip_mm, self._is_homed = (
@@ -136,7 +138,7 @@ class Machine:
         return self._has_low_switch and self.carriage_mm(now_s) <= self._switch_mm
 
     def trips_s(self) -> float | None:
-        """When the present move presses or releases the limit switch; None if it does not."""
+        """Return the time when the present move presses or releases the limit switch; None if never."""
         if not isinstance(self.motion, Move) or not self._has_low_switch:
             return None
         move = self.motion
@@ -157,7 +159,7 @@ class Machine:
         return high_s
 
     def homing_s(self) -> float:
-        """How long homing X will take: the search, the way back, the second approach and the way back again."""
+        """Return the duration of homing X: search, way back, second approach and way back."""
         search_mm = (
             abs(self.slip_mm + self.position[0] - self._home_mm(0))
             + self._settings[PULL_OFF]
@@ -168,11 +170,11 @@ class Machine:
         ] / locate
 
     def search_s(self) -> float:
-        """How long homing searches before it gives up."""
+        """Return the longest duration of a search for the switch."""
         return 1.5 * self._settings[MAX_TRAVEL] / (self._settings[SEEK_RATE] / 60)
 
     def homed(self, axes: int) -> None:
-        """Homing is done: counted and true position agree."""
+        """End homing: counted and true position agree."""
         homes = [self._home_mm(axis) for axis in range(axes)]
         self.position, self.slip_mm, self._is_homed = (
             (*homes, *self.position[axes:]),
@@ -181,7 +183,7 @@ class Machine:
         )
 
     def homing_cut_off(self, since_s: float) -> None:
-        """Homing ended before its time: the carriage went some of the way, uncounted."""
+        """Interrupt homing: the carriage went part of the way, uncounted."""
         way_mm = min(
             since_s * self._settings[SEEK_RATE] / 60,
             abs(self.carriage_mm(0.0) - self._home_mm(0)),
@@ -189,7 +191,7 @@ class Machine:
         self.slip_mm += -way_mm if self._homes_low(0) else way_mm
 
     def speed(self, feed: float | None) -> float:
-        """mm/s of a feed in mm/min, at most the machine's own; None is rapid."""
+        """Return the speed in mm/s of a feed in mm/min, at most the machine's own; None is rapid."""
         fastest = self._settings[MAX_RATE]
         return (fastest if feed is None else min(feed, fastest)) / 60
 

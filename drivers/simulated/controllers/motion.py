@@ -26,7 +26,7 @@ class Move:
 
     @property
     def end_s(self) -> float:
-        """When it stands."""
+        """Time of rest."""
         ramp_s, peak = self._ramp()
         return (
             self.begin_s + 2 * ramp_s + (self.length_mm - peak * ramp_s) / peak
@@ -35,7 +35,7 @@ class Move:
         )
 
     def along(self, now_s: float) -> tuple[float, float]:
-        """(way gone in mm, speed) at a time."""
+        """Return (distance in mm, speed) at a time."""
         ramp_s, peak = self._ramp()
         since_s, left_s = now_s - self.begin_s, self.end_s - now_s
         if left_s <= 0:
@@ -50,32 +50,32 @@ class Move:
         return peak * (since_s - ramp_s / 2), peak
 
     def at(self, way_mm: float) -> Point:
-        """Where it is after a way."""
+        """Return the place after a distance."""
         share = way_mm / self.length_mm if self.length_mm else 1.0
         return tuple(
             a + share * (b - a) for a, b in zip(self.origin, self.target, strict=True)
         )
 
     def _ramp(self) -> tuple[float, float]:
-        """(time of either ramp, top speed reached)."""
+        """Return (time of either ramp, top speed reached)."""
         peak = min(self.speed, math.sqrt(self.length_mm * self.acceleration))
         return peak / self.acceleration, peak
 
 
 @dataclass(frozen=True, slots=True)
 class Braking:
-    """A move that is brought to rest from `begin_s` on."""
+    """A move that is braked from `begin_s` on."""
 
     move: Move
     begin_s: float
 
     @property
     def end_s(self) -> float:
-        """When it stands."""
+        """Time of rest."""
         return self.begin_s + self.move.along(self.begin_s)[1] / self.move.acceleration
 
     def position(self, now_s: float) -> Point:
-        """Where it is; never beyond where the move would have ended."""
+        """Return the place at a time, never beyond the end of the move."""
         way_mm, speed = self.move.along(self.begin_s)
         since_s = min(now_s, self.end_s) - self.begin_s
         way_mm += speed * since_s - self.move.acceleration * since_s**2 / 2

@@ -1,4 +1,4 @@
-"""A simulated controller behind a real pseudo-terminal, with a thread that serves it, and faults on the way."""
+"""A simulated controller behind a real pseudo-terminal, with a thread that serves it, and faults of the line."""
 
 from __future__ import annotations
 
@@ -33,12 +33,13 @@ Kind = Literal[
 
 @dataclass(frozen=True, slots=True)
 class LineFault:
-    """Trouble when the controller gets its `nth` command that matches, and the `times` - 1 such after it.
+    """Trouble at the controller's `nth` matching command, and at the `times` - 1 following ones.
 
-    late: everything said comes `lasts_s` later; stale: a reply that nobody asked for; silence: what is said for
-    `lasts_s` is lost; garbage: the next line is damaged; partial: it comes in two pieces, `lasts_s` apart; torn: its
-    second half and its end are lost; unplug: the port goes away, for `lasts_s`, and the power with it; others: as the
-    controller takes them. It strikes `after_s` after the command.
+    late: all output comes `lasts_s` later; stale: an unsolicited reply; silence: output
+    during `lasts_s` is lost; garbage: the next line is damaged; partial: it comes in two
+    pieces, `lasts_s` apart; torn: its second half and its end are lost; unplug: the port
+    goes away, for `lasts_s`, and the power too; others: as defined by the controller. The
+    fault occurs `after_s` after the command.
     """
 
     kind: Kind
@@ -50,7 +51,7 @@ class LineFault:
 
 
 class Controller(Protocol):
-    """What can stand behind a port: a machine with its own clock, which the port keeps going."""
+    """A machine with its own clock behind a port, which advances the clock."""
 
     noticed: Callable[[str], None]
     stale_reply: bytes
@@ -60,15 +61,15 @@ class Controller(Protocol):
         ...
 
     def receive(self, data: bytes) -> None:
-        """Take in bytes, at the time it was last advanced to."""
+        """Take in bytes at the present time of the controller."""
         ...
 
     def advance(self, now_s: float) -> bytes:
-        """Do what is due by then; what was said."""
+        """Run all events up to a time, and return the output."""
         ...
 
     def due_s(self) -> float | None:
-        """When something happens next by itself."""
+        """Return the time of the next event."""
         ...
 
     def strike(self, trouble: str) -> None:
@@ -77,9 +78,10 @@ class Controller(Protocol):
 
 
 class PtyPort:
-    """Serves a controller at `path`, which stays the same when the port is unplugged and comes back.
+    """Serves a controller at `path`, which stays the same when the port is unplugged and returns.
 
-    `lock` guards the controller against the thread that serves it; `struck` counts the faults that were set off.
+    `lock` guards the controller against the serving thread; `struck` counts the faults that
+    occurred.
     """
 
     def __init__(self, controller: Controller, faults: Sequence[LineFault] = ()) -> None:
@@ -107,7 +109,7 @@ class PtyPort:
         self._thread.start()
 
     def strike(self, kind: Kind, lasts_s: float = 0.1) -> None:
-        """Trouble now."""
+        """Cause a fault now."""
         with self.lock:
             self._strike(LineFault(kind, "", lasts_s=lasts_s))
         os.write(self._wake, b".")
@@ -143,7 +145,7 @@ class PtyPort:
                     self.controller.receive(data)
 
     def _run(self, now_s: float) -> None:
-        """Everything that is due."""
+        """Run all events that are due."""
         self._put(self.controller.advance(now_s), now_s)
         due = [action for when_s, action in self._actions if when_s <= now_s]
         self._actions = [item for item in self._actions if item[0] > now_s]
@@ -164,7 +166,7 @@ class PtyPort:
         return max(0.0, min([0.5, *(when_s - now_s for when_s in times)]))
 
     def _put(self, said: bytes, now_s: float) -> None:
-        """What the controller says on its way out, through the faults."""
+        """Pass the controller's output on through the faults."""
         for line in said.splitlines(keepends=True):
             if now_s < self._silent_until_s:
                 continue
@@ -188,7 +190,7 @@ class PtyPort:
                     self._out.append((at_s, line))
 
     def _notice(self, command: str) -> None:
-        """Count a command; set off the faults that are due on it."""
+        """Count a command, and set off its faults."""
         for fault in self._faults:
             if re.fullmatch(fault.command, command):
                 self._met[fault] += 1

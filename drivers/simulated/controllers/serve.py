@@ -1,4 +1,4 @@
-"""What simulated controllers on a serial line are put to: to carry a simulated bench's camera, or to serve any program."""
+"""Use simulated controllers on a serial line: to carry a simulated bench's camera, or to serve any program."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ from labkit.plan import Plan, RailSettings
 
 
 def carrying(context: DeviceContext) -> Callable[[float], None]:
-    """Brings the camera of the context's bench to a position in mm, to stand there; does nothing in a context without one."""
+    """Return a function that brings the bench's camera to rest at a position in mm; without a bench it does
+    nothing.
+    """
 
     def carry(carriage_mm: float) -> None:
         for bench in context.shared.values():
@@ -25,14 +27,14 @@ def carrying(context: DeviceContext) -> Callable[[float], None]:
 
 
 def rail_of(address: str, plan: Plan) -> RailSettings:
-    """The rail that a plan wants carried. Raises PlanError for a plan without one."""
+    """Return the rail of a plan. Raises PlanError for a plan without a rail."""
     if plan.rail is None:
         raise PlanError(f'rail.address = "{address}": the plan has no [rail]')
     return plan.rail
 
 
 def serve(port: PtyPort) -> None:
-    """Let other programs talk to it until Ctrl-C."""
+    """Serve other programs until Ctrl-C."""
     print(f"{port.path}, any baud rate; Ctrl-C ends it", flush=True)
     try:
         while True:

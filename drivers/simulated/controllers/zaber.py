@@ -1,6 +1,7 @@
 """A Zaber stage without hardware, behind a real pseudo-terminal; Zaber's own library drives it as well.
 
-As rail.address = "zaber:simulated" it stands in for a rail; `python -m labkit.drivers.simulated.controllers.zaber` serves one.
+As rail.address = "zaber:simulated" it replaces a rail; `python -m
+labkit.drivers.simulated.controllers.zaber` serves a stage.
 """
 
 from __future__ import annotations
@@ -32,8 +33,8 @@ OF_AXIS = {"peripheralid": "0"}
 class ZaberController:
     """A device with one axis, in its own time. Positions in microsteps, speed in microsteps/s.
 
-    The carriage truly stands `slip` beyond the position; homing makes the slip zero. `moved` is called with where it truly
-    comes to rest.
+    The carriage is truly `slip` beyond the position; homing makes the slip zero. `moved` is
+    called with the true place at rest.
     """
 
     def __init__(
@@ -74,7 +75,7 @@ class ZaberController:
             self._take(line.decode("latin-1"))
 
     def advance(self, now_s: float) -> bytes:
-        """Do what is due by then, and return what was said."""
+        """Run all events up to a time, and return the output."""
         if self._motion is not None and self._motion.end_s <= now_s:
             self._arrive()
         self.now_s = now_s
@@ -83,11 +84,11 @@ class ZaberController:
         return said
 
     def due_s(self) -> float | None:
-        """When the present motion ends."""
+        """Return the time when the present motion ends."""
         return self._motion.end_s if self._motion else None
 
     def strike(self, trouble: str) -> None:
-        """Trouble from outside: reboot or reset (power cut), alarm (a stall), slip (by 6000 microsteps)."""
+        """Cause trouble: reboot or reset (power cut), alarm (a stall), slip (by 6000 microsteps)."""
         if trouble in ("reboot", "reset"):
             self.power_on()
         elif trouble == "alarm":
@@ -100,7 +101,7 @@ class ZaberController:
 
     @property
     def carriage(self) -> float:
-        """Where the carriage truly is."""
+        """True place of the carriage."""
         return self._place() + self.slip
 
     def _place(self) -> float:
@@ -139,7 +140,7 @@ class ZaberController:
         self.stale_reply = whole.encode()
 
     def _do(self, axis: int, command: str) -> tuple[str, str]:
-        """Verdict and data of a command."""
+        """Return verdict and data of a command."""
         words = command.split()
         match words:
             case []:
@@ -198,7 +199,7 @@ class ZaberController:
 
 
 def simulated_port(address: str, plan: Plan, context: DeviceContext) -> PtyPort:
-    """A stage whose travel holds the plan's stops; it moves the carriage of the context's simulated bench, if any."""
+    """Return a stage whose travel covers the plan's stations; it moves the context's simulated bench, if any."""
     rail = rail_of(address, plan)
     assert rail.microstep_um is not None  # the driver has refused a plan without it
     microstep_mm = rail.microstep_um * 1e-3
