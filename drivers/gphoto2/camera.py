@@ -123,10 +123,7 @@ def _network_port(port: str) -> str:
 
 
 def find_cameras() -> list[tuple[str, str]]:
-    """Return (address, model) of every camera on USB that libgphoto2 knows, its virtual camera too.
-
-    Raises CameraError.
-    """
+    """Return (address, model) of every USB camera that libgphoto2 knows, or raise CameraError."""
     if find_spec("gphoto2") is None:
         raise CameraError("the package gphoto2 is missing: pip install gphoto2")
     link = Link()
@@ -322,7 +319,7 @@ class Gphoto2Camera(ClosesItself):
         self._is_open = True
 
     def _choose(self, found: list[tuple[str, str]]) -> tuple[str, str]:
-        """Return the camera to open: at the requested port; the only one; or, after a loss, of the same model."""
+        """Return the camera to open: at the requested port; the only one; or, after a loss, of its model."""
         listed = ", ".join(f"{model} at {port}" for model, port in found)
         if not found:
             raise Trouble(NO_CAMERA, "no camera found")
