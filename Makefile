@@ -76,7 +76,7 @@ docs: .venv/installed-dev
 bench: .venv/installed-test
 	$(BIN)/python -m benchmarks
 
-# The README's tables, from benchmarks/claims.toml and the studies' results.
+# The tables of README.md and docs/accuracy.md, from benchmarks/claims.toml and the studies' results.
 readme: .venv/installed-test
 	$(BIN)/python -m benchmarks.claims
 

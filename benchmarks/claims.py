@@ -1,7 +1,8 @@
-"""The README's figures: where they are kept, which tests hold them, and the tables made of them."""
+"""Write the measured figures into README.md and docs/accuracy.md, from one file that tests read too."""
 
 import json
 import tomllib
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,14 +10,12 @@ ROOT = Path(__file__).parents[1]
 CLAIMS: dict[str, list[dict[str, Any]]] = tomllib.loads(
     (ROOT / "benchmarks/claims.toml").read_text(encoding="utf-8")
 )
-BEGIN, END = (
-    "<!-- written by `make readme` from benchmarks/claims.toml -->\n",
-    "<!-- end -->\n",
-)
+BEGIN = "<!-- written by `make readme` from benchmarks/claims.toml -->\n"
+END = "<!-- end -->\n"
 
 
 def limit(claim: str, figure: str) -> float:
-    """What a test allows a figure of a claim to be. Raises KeyError for one that is not held."""
+    """Return the limit of a claim's figure in tests. Raises KeyError for an unknown figure."""
     return float(_held(claim)["figures"][figure]["limit"])
 
 
@@ -24,59 +23,86 @@ def _held(claim: str) -> dict[str, Any]:
     return {entry["name"]: entry for entry in CLAIMS["held"]}[claim]
 
 
+def headlines() -> str:
+    """Return the README's table: figures that a reader understands without the method."""
+    named = {
+        claim["name"]: claim
+        for claim in [*CLAIMS["held"], *CLAIMS["run"]]
+        if "name" in claim
+    }
+    rows = [_cells(line, _figures(named[line["claim"]])) for line in CLAIMS["headline"]]
+    return "\n".join(["| quantity | measured |", "|---|---|", *map(_row, rows), ""])
+
+
 def tables() -> str:
-    """Both tables of the README, in Markdown."""
-    held = [
-        _row(c, {k: f["measured"] for k, f in c["figures"].items()}, f"[test]({c['test']})")
-        for c in CLAIMS["held"]
-    ]
-    run = [_row(c, _published(c), "") for c in CLAIMS["run"]]
+    """Return both tables of docs/accuracy.md: figures that tests hold, and figures of longer commands."""
+    held = [[*_cells(c, _figures(c)), *_sources(c)] for c in CLAIMS["held"]]
+    run = [[*_cells(c, _figures(c)), *_sources(c)] for c in CLAIMS["run"]]
     return "\n".join(
         [
-            "Held by tests, whose limits are at most twice these figures:",
+            "Tests hold these figures, with limits of at most twice the measured value:",
             "",
-            "| what | measured | command | held by |",
+            "| case | measured | command | test |",
             "|---|---|---|---|",
-            *held,
+            *map(_row, held),
             "",
-            "By longer commands, on two cores, which no test repeats:",
+            "Longer commands, on two cores, gave these figures; no test repeats them:",
             "",
-            "| what | measured | command |",
+            "| case | measured | command |",
             "|---|---|---|",
-            *(row.removesuffix("  |") for row in run),
+            *map(_row, run),
             "",
         ]
     )
 
 
-def _row(claim: dict[str, Any], figures: dict[str, float], test: str) -> str:
-    return f"| {claim['what']} | {claim['says'].format(**figures)} | `{claim['command']}` | {test} |"
+def _cells(claim: Mapping[str, Any], figures: Mapping[str, float]) -> list[str]:
+    return [claim["what"], claim["says"].format(**figures)]
 
 
-def _published(claim: dict[str, Any]) -> dict[str, float]:
-    """Figures of a study, out of the file that it wrote."""
+def _sources(claim: Mapping[str, Any]) -> list[str]:
+    return [f"`{claim[key]}`" for key in ("command", "test") if key in claim]
+
+
+def _row(cells: list[str]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def _figures(claim: Mapping[str, Any]) -> dict[str, float]:
+    """Return a claim's figures: as measured, or from the file that a study wrote."""
+    figures: dict[str, Any] = claim.get("figures", {})
+    if "test" in claim:
+        return {name: figure["measured"] for name, figure in figures.items()}
     if "results" not in claim:
         return {}
     published = json.loads((ROOT / claim["results"]).read_text(encoding="utf-8"))["claims"]
     measured = {entry["what"]: entry["measured"] for entry in published}
-    return {name: measured[what] for name, what in claim["figures"].items()}
+    return {name: measured[what] for name, what in figures.items()}
 
 
-def rewritten(readme: str) -> str:
-    """A README with its tables as they should be. Raises ValueError where their place is not marked."""
-    before, began, rest = readme.partition(BEGIN)
+PAGES: dict[str, Callable[[], str]] = {
+    "README.md": headlines,
+    "docs/accuracy.md": tables,
+}
+
+
+def rewritten(page: str, text: str) -> str:
+    """Return a page of `PAGES` with its tables written anew. Raises ValueError for a page without marks."""
+    before, began, rest = text.partition(BEGIN)
     _, ended, after = rest.partition(END)
     if not (began and ended):
         raise ValueError(
-            f"README.md has no place for the tables, between {BEGIN.strip()} and {END.strip()}"
+            f"{page} has no place for the tables, between {BEGIN.strip()} and {END.strip()}"
         )
-    return before + began + tables() + ended + after
+    return before + began + PAGES[page]() + ended + after
 
 
 def main() -> None:
-    """Write the README's tables."""
-    path = ROOT / "README.md"
-    path.write_text(rewritten(path.read_text(encoding="utf-8")), encoding="utf-8")
+    """Write the tables of all pages."""
+    for page in PAGES:
+        path = ROOT / page
+        text = rewritten(page, path.read_text(encoding="utf-8"))
+        path.write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,15 +1,20 @@
-"""The README says what was measured, and tests hold it."""
+"""The README and docs/accuracy.md state measured figures, and tests hold them."""
 
 from typing import Any
 
 import pytest
 
-from benchmarks.claims import CLAIMS, ROOT, rewritten
+from benchmarks.claims import CLAIMS, PAGES, ROOT, headlines, rewritten
 
 
-def test_the_readmes_tables_are_those_that_the_command_writes() -> None:
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert readme == rewritten(readme), "run: make readme"
+@pytest.mark.parametrize("page", PAGES)
+def test_a_pages_tables_are_as_the_command_writes_them(page: str) -> None:
+    text = (ROOT / page).read_text(encoding="utf-8")
+    assert text == rewritten(page, text), "run: make readme"
+
+
+def test_the_readmes_table_has_eight_lines_at_most() -> None:
+    assert 2 < len(headlines().splitlines()) <= 2 + 8
 
 
 @pytest.mark.parametrize("claim", CLAIMS["held"], ids=lambda claim: claim["name"])
@@ -25,6 +30,6 @@ def test_a_claims_test_holds_each_of_its_figures_within_a_factor_of_two(
         )
 
 
-def test_a_readme_without_marks_is_refused() -> None:
+def test_a_page_without_marks_is_refused() -> None:
     with pytest.raises(ValueError, match="no place for the tables"):
-        rewritten("# labkit\n")
+        rewritten("README.md", "# labkit\n")
