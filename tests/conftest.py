@@ -35,7 +35,7 @@ def own_state(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 @pytest.fixture(autouse=True)
 def no_lines_of_progress(monkeypatch: pytest.MonkeyPatch) -> None:
     """On a loaded machine a command may take longer than ten seconds: what it says on stderr is the same all the same."""
-    monkeypatch.setattr("labkit.console.EVERY_S", 3600.0)
+    monkeypatch.setattr("labkit.cli.console.EVERY_S", 3600.0)
 
 
 @pytest.fixture

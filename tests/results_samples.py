@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from labkit.finding import Finding
-from labkit.findings import found
+from labkit.findings import Finding, found
 from labkit.optics.rim import Circle, Diaphragm, Rim
 from labkit.optics.spectrum import Spectrum
 from labkit.plan import Plan

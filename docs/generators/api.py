@@ -32,7 +32,7 @@ RELATED = {
     ),
     "labkit.advice.advise": ("Advice", "RangeAdvice"),
     "labkit.advice.outlook": ("Outlook", "Remedy"),
-    "labkit.finding": ("Finding",),
+    "labkit.findings": ("Finding",),
     "labkit.key": ("Key",),
     "labkit.session.frame": ("Frame",),
     "labkit.target": ("Target", "CellTarget", "TargetSpec", "read_spec"),

@@ -8,10 +8,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.signal import fftconvolve
 
+from labkit.figure_style import SOFT, png, styled
 from labkit.optics.lens import ThinLens, defocus_waves
 from labkit.optics.metrics import opd_map, psf_value
 from labkit.optics.wavefront import FittedWavefront
-from labkit.report.style import SOFT, png, styled
 from labkit.target import open_target
 from labkit.types import Floats
 

@@ -14,8 +14,7 @@ from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 from websockets.typing import Origin
 
-from labkit.files import write_atomically
-from labkit.user_state import state_folder
+from labkit.files import state_folder, write_atomically
 
 ANSWER_S = 2.0
 

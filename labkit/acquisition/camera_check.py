@@ -20,13 +20,13 @@ from labkit.devices.protocols import (
 )
 from labkit.devices.registry import open_camera
 from labkit.errors import CameraError, TargetError
-from labkit.filter_array import MONO
 from labkit.finder.find_target import find_target, grey_image
 from labkit.finder.sharpness import blur_px, sharpest_edge_px
 from labkit.photographs.decoding import read_raw
 from labkit.photographs.exposure import exposure_problem, pixel_noise
 from labkit.photographs.photograph import Mosaic
 from labkit.plan import Plan
+from labkit.plan.sensor import MONO
 from labkit.target import open_target
 from labkit.types import Counts
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
+from labkit.analysis.kept_fits import FOLDER, KeptFits
 from labkit.analysis.observe import observe
 from labkit.analysis.plan_doubts import plan_findings
 from labkit.analysis.session_parts import camera_findings, higher_modes, model_parts
@@ -40,9 +41,7 @@ from labkit.estimation.session import estimate
 from labkit.estimation.split import Change, find_change
 from labkit.estimation.stated import Stated, wanted_parts
 from labkit.execute import Run, Workers, default_workers
-from labkit.finding import Finding, each_once
-from labkit.findings import found, unanswered
-from labkit.kept_fits import FOLDER, KeptFits
+from labkit.findings import Finding, each_once, found, unanswered
 from labkit.key import Key, same_range
 from labkit.panel.seen_pixels import (
     PLAIN_CONTRAST,

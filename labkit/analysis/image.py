@@ -21,11 +21,11 @@ from labkit.estimation.estimate import LocalFit
 from labkit.estimation.likelihood import FrameData, low_orders
 from labkit.estimation.local import Guesses, Views, find_optima
 from labkit.estimation.observation import Observation
-from labkit.filter_array import ChannelPixels, channel_pixels, pattern_of
 from labkit.finder.cut import cut_around, sees_target_only
 from labkit.finder.find_target import find_target, grey_image
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
+from labkit.plan.sensor import ChannelPixels, channel_pixels, pattern_of
 from labkit.results import Wavefront
 from labkit.target import Target
 from labkit.types import Bools, Floats

@@ -27,8 +27,7 @@ from labkit.finder.carpet_squares import central_square
 from labkit.finder.cut import cut_around, sees_target_only
 from labkit.finder.find_target import find_target, grey_image
 from labkit.finder.surround import surround_level
-from labkit.finding import Finding, each_once
-from labkit.findings import found
+from labkit.findings import Finding, each_once, found
 from labkit.imaging.shine import Shine
 from labkit.imaging.warp import Pose
 from labkit.key import same_range

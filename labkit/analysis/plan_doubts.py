@@ -16,8 +16,7 @@ from labkit.estimation.laws import (
     Name,
 )
 from labkit.estimation.lens_fit import LensFit
-from labkit.finding import Finding
-from labkit.findings import found
+from labkit.findings import Finding, found
 from labkit.plan import Plan
 from labkit.uncertain import Uncertain
 

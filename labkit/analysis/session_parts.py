@@ -18,8 +18,7 @@ from labkit.estimation.findings import (
 from labkit.estimation.laws import PART
 from labkit.estimation.lens_fit import LensFit
 from labkit.estimation.model_error import shift
-from labkit.finding import Finding
-from labkit.findings import found
+from labkit.findings import Finding, found
 from labkit.imaging.aperture import Aperture
 from labkit.imaging.optics import ESTIMATED
 from labkit.optics.metrics import psf_difference, rms

@@ -24,8 +24,7 @@ from labkit.estimation.model_error import confirmed, shift
 from labkit.estimation.residuals import residual_frequencies
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.split import second_camp
-from labkit.finding import Finding
-from labkit.findings import found
+from labkit.findings import Finding, found
 from labkit.imaging.optics import Optics
 from labkit.key import Key
 from labkit.optics.known_bias import covariance_with_bias, error_with_bias

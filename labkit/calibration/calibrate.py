@@ -17,8 +17,7 @@ from labkit.calibration.flats import flat_findings, pixel_response, reduce_flats
 from labkit.calibration.photon_transfer import NoiseEstimate, photon_transfer
 from labkit.calibration.stack import read_stack, saturated
 from labkit.errors import DataError
-from labkit.finding import Finding, each_once
-from labkit.findings import flats_of_another_range
+from labkit.findings import Finding, each_once, flats_of_another_range
 from labkit.photographs.photograph import Cut, Mosaic
 from labkit.plan import Plan
 from labkit.session.frame import Frame

@@ -21,8 +21,7 @@ from labkit.calibration.masters import (
 )
 from labkit.calibration.photon_transfer import ROUNDING_VARIANCE, NoiseEstimate, Scatter
 from labkit.calibration.stack import Stack
-from labkit.finding import Finding
-from labkit.findings import flats_partly_unlit, found
+from labkit.findings import Finding, flats_partly_unlit, found
 from labkit.panel.pattern_in_flats import repeating
 from labkit.photographs.photograph import Cut
 from labkit.types import Bools, Floats, Floats32

@@ -22,9 +22,9 @@ from labkit.cli.app import (
     target_app,
 )
 from labkit.cli.complete import panels, targets
+from labkit.cli.console import Console
 from labkit.cli.device_tables import NONE_OF, device_tables
 from labkit.cli.paths import a_file, a_plan, perhaps_a_plan
-from labkit.console import Console
 from labkit.errors import DataError, LabkitError, PlanError
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from typer.exceptions import TyperException
 
 from labkit.cli import bench, edges, focus, restoring, sessions
 from labkit.cli.app import app
-from labkit.console import Console, error_line
+from labkit.cli.console import Console, error_line
 from labkit.errors import LabkitError
 from labkit.files import open_standard_streams
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from labkit.cli.app import CameraPlace, camera_app
+from labkit.cli.console import Console
 from labkit.cli.paths import perhaps_a_plan
-from labkit.console import Console
 from labkit.errors import PlanError
 
 if TYPE_CHECKING:

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from labkit.cli.app import app
+from labkit.cli.console import Console
 from labkit.cli.paths import a_file_or_session
 from labkit.cli.sessions import Workers
-from labkit.console import Console
 from labkit.errors import DataError, SessionError
 
 if TYPE_CHECKING:

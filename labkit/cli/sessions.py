@@ -13,8 +13,8 @@ import typer
 
 from labkit.cli.app import PlanPath, SessionPath, app
 from labkit.cli.complete import channels, studies
+from labkit.cli.console import Console
 from labkit.cli.paths import a_file, a_plan, a_session
-from labkit.console import Console
 from labkit.errors import DataError, LabkitError
 
 if TYPE_CHECKING:

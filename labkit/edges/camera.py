@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from labkit.analysis.measured_camera import optics_behind
 from labkit.calibration.photon_transfer import (
     UNKNOWN_NOISE_STD,
     usual_gain,
@@ -17,7 +18,6 @@ from labkit.estimation.climb import NoisePrior
 from labkit.estimation.stated import optics_of
 from labkit.imaging.optics import Optics
 from labkit.imaging.parts import Part
-from labkit.measured_camera import optics_behind
 from labkit.optics.lens import USUAL_LOG_MAGNIFICATION, ThinLens
 from labkit.optics.wavefront import DEFOCUS
 from labkit.plan import Plan, leading_channel

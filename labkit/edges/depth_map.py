@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from labkit.edges.find import Box
 from labkit.edges.outcome import EdgesOutcome, MeasuredEdge
-from labkit.report.style import INK, SOFT, WIDTH_IN
+from labkit.figure_style import INK, SOFT, WIDTH_IN
 from labkit.types import Floats
 
 MAP = "viridis"  # in order of lightness too: for colour-blind readers, and in print

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from labkit.analysis.measured_camera import check_same_camera
 from labkit.edges.box_fit import BoxFit, BoxTask, box_task, fit_box
 from labkit.edges.camera import Camera, camera_of, focus_law
 from labkit.edges.esfr import Esfr
@@ -33,7 +34,6 @@ from labkit.edges.response import fitted_response
 from labkit.edges.standing import Standing, correlation, standings
 from labkit.errors import DataError
 from labkit.execute import Workers, default_workers
-from labkit.measured_camera import check_same_camera
 from labkit.plan import Plan, leading_channel
 from labkit.results import Results
 from labkit.types import Floats, Progress, no_progress

@@ -13,10 +13,10 @@ from labkit.edges.esfr import Plane
 from labkit.edges.find import Box, FoundEdge, find_edges
 from labkit.edges.region import LEAST_PIXELS, Region
 from labkit.errors import DataError
-from labkit.filter_array import IN_COLOURS, MONO
 from labkit.photographs.decoding import read_raw
 from labkit.photographs.photograph import Mosaic
 from labkit.plan import Plan
+from labkit.plan.sensor import IN_COLOURS, MONO
 from labkit.types import Bools, Floats
 
 WHOLE = (slice(0, None), slice(0, None))

@@ -10,11 +10,11 @@ import numpy as np
 from labkit.edges.depth_map import draw_depth_map
 from labkit.edges.outcome import EdgesOutcome
 from labkit.errors import TargetError
+from labkit.figure_style import png, styled
 from labkit.files import write_atomically, writing
 from labkit.finder.find_target import grey_image
 from labkit.photographs.decoding import read_raw
 from labkit.plan import Plan
-from labkit.report.style import png, styled
 from labkit.types import Floats
 
 

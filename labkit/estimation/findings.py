@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from labkit.finding import Finding
-from labkit.findings import found
+from labkit.findings import Finding, found
 from labkit.imaging.optics import OPTIONAL
 from labkit.imaging.parts import Diffusion, LowPass
 from labkit.key import Key

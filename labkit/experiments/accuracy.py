@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from labkit.estimation.climb import maximize
 from labkit.experiments.conditions import draw_trial, random_waves
 from labkit.experiments.runner import Claim, Outcome, Setting, all_answers
-from labkit.report.style import SOFT
+from labkit.figure_style import SOFT
 from labkit.types import Floats
 
 SNRS = (5.0, 10.0, 20.0, 40.0, 75.0, 150.0)

@@ -20,9 +20,9 @@ from labkit.edges.search import fit_depth, rough_edge
 from labkit.estimation.climb import NoisePrior
 from labkit.experiments.edge_camera import EdgeCamera
 from labkit.experiments.runner import Claim, Outcome, Setting, all_answers
+from labkit.figure_style import SOFT
 from labkit.imaging.optics import Optics
 from labkit.optics.lens import ThinLens, defocus_waves
-from labkit.report.style import SOFT
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 

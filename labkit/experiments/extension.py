@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from labkit.errors import InputError
 from labkit.experiments.methods.smooth_extension import fill
 from labkit.experiments.runner import Claim, Outcome, Setting, all_answers
-from labkit.report.style import panels
+from labkit.figure_style import panels
 from labkit.types import Bools, Floats
 
 PICTURES = (

@@ -17,8 +17,8 @@ from labkit.experiments.camera import Camera
 from labkit.experiments.methods.restoration_baselines import METHODS, interpolated, psf_of
 from labkit.experiments.picture_camera import PictureCamera
 from labkit.experiments.runner import Claim, Outcome, Setting, all_answers
+from labkit.figure_style import panels
 from labkit.imaging.optics import Optics
-from labkit.report.style import panels
 from labkit.restoration.colours import colour_coupling
 from labkit.restoration.job import Colour, Job, Photograph
 from labkit.restoration.registration import refined, registered

@@ -17,7 +17,7 @@ from labkit.experiments.sinusoid import (
     relaxation,
     two_sided,
 )
-from labkit.report.style import SOFT
+from labkit.figure_style import SOFT
 from labkit.types import Floats, Progress, no_progress
 
 SEED = 4

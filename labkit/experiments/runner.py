@@ -17,8 +17,8 @@ from matplotlib.ticker import NullFormatter
 from labkit.errors import InputError
 from labkit.execute import run_all
 from labkit.experiments.studies import STUDIES
+from labkit.figure_style import png, styled
 from labkit.files import write_atomically
-from labkit.report.style import png, styled
 from labkit.types import Progress
 
 Task = TypeVar("Task")

@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from labkit.arrays import real_array
 from labkit.errors import TargetError
-from labkit.filter_array import IN_COLOURS
 from labkit.finder.carpet_squares import central_square, square_hypotheses
 from labkit.finder.registration import (
     Agreement,
@@ -25,6 +24,7 @@ from labkit.finder.registration import (
     register,
 )
 from labkit.finder.template_search import SCALE_STEP, swept_hypotheses
+from labkit.plan.sensor import IN_COLOURS
 from labkit.target import Target
 from labkit.types import Floats
 

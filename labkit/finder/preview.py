@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from labkit.filter_array import IN_COLOURS
 from labkit.photographs.photograph import Mosaic
+from labkit.plan.sensor import IN_COLOURS
 from labkit.types import Floats
 
 PREVIEW_PX = 900

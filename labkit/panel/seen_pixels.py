@@ -14,8 +14,7 @@ import cv2
 import numpy as np
 
 from labkit.errors import PlanError
-from labkit.finding import Finding
-from labkit.findings import found
+from labkit.findings import Finding, found
 from labkit.panel.stripe_contrast import LEAST_CONTRAST
 from labkit.plan import TargetPixels
 from labkit.plan.plan import COLOUR_WORDS

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from labkit.filter_array import IN_COLOURS, MONO
 from labkit.photographs.photograph import Mosaic
+from labkit.plan.sensor import IN_COLOURS, MONO
 from labkit.types import Counts, Floats
 
 TILE_PX = 32

@@ -13,12 +13,12 @@ import numpy as np
 
 from labkit.apart import run_apart
 from labkit.errors import InputError, RawError
-from labkit.filter_array import pattern_of
 from labkit.photographs.container import Container, recognise
 from labkit.photographs.photograph import Mosaic
 from labkit.photographs.picture_file import Numbers
 from labkit.photographs.processed_picture import is_processed, processed_mosaic, read_file
 from labkit.plan import Sensor
+from labkit.plan.sensor import pattern_of
 
 
 def read_raw(path: Path, sensor: Sensor) -> Mosaic:

@@ -10,10 +10,10 @@ import numpy as np
 import rawpy
 
 from labkit.errors import RawError
-from labkit.filter_array import MONO
 from labkit.photographs.captured_stderr import captured_stderr
 from labkit.photographs.container import Container
 from labkit.photographs.photograph import Mosaic
+from labkit.plan.sensor import MONO
 
 DAMAGE = ("data corrupted", "Unexpected end of file")
 """What LibRaw prints of a file that it decodes all the same."""

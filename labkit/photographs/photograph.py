@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from labkit.filter_array import IN_COLOURS, MONO, ChannelPixels, channel_pixels, places_of
-from labkit.finding import Finding
+from labkit.findings import Finding
 from labkit.photographs.tone_curve import ToneCurve
+from labkit.plan.sensor import IN_COLOURS, MONO, ChannelPixels, channel_pixels, places_of
 from labkit.types import Counts
 
 Cut = tuple[slice, slice]

@@ -12,9 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from labkit.errors import InputError, RawError
-from labkit.filter_array import IN_COLOURS, MONO
-from labkit.finding import Finding
-from labkit.findings import found
+from labkit.findings import Finding, found
 from labkit.photographs.container import Container
 from labkit.photographs.encoding import read_encoding, srgb
 from labkit.photographs.jpeg import read_jpeg
@@ -28,6 +26,7 @@ from labkit.photographs.tone_curve import (
     tone_curve,
 )
 from labkit.plan import MeasuredTone, Sensor
+from labkit.plan.sensor import IN_COLOURS, MONO
 
 
 def read_file(path: Path, container: Container) -> tuple[Picture, bool]:

@@ -6,9 +6,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from labkit.figure_style import HALF_IN, INK, chart
 from labkit.report.lens_table import SOURCES, budget_name, whole_std
 from labkit.report.quantities import fixed
-from labkit.report.style import HALF_IN, INK, chart
 from labkit.results import Results
 from labkit.types import Floats
 from labkit.uncertain import decimals

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
-from labkit.report.style import HALF_IN, SOFT, channel_inks, chart
+from labkit.figure_style import HALF_IN, SOFT, channel_inks, chart
 from labkit.results import Results
 
 WIDE = 5.0  # power beyond which the axis is logarithmic

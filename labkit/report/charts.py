@@ -6,10 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy import special
 
-from labkit.optics.zernike import mode_name
-from labkit.report.best_focus import ChannelFocus
-from labkit.report.quantities import millimetres
-from labkit.report.style import (
+from labkit.figure_style import (
     FAINT,
     HALF_IN,
     INK,
@@ -20,6 +17,9 @@ from labkit.report.style import (
     chart,
     scaling,
 )
+from labkit.optics.zernike import mode_name
+from labkit.report.best_focus import ChannelFocus
+from labkit.report.quantities import millimetres
 from labkit.results import Residuals, Results
 from labkit.types import Floats
 

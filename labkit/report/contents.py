@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from labkit.figure_style import channel_inks
 from labkit.plan import About, Plan
 from labkit.report.answer import answer
 from labkit.report.camera_table import light_table, missing_words, part_table, tried_table
@@ -21,7 +22,6 @@ from labkit.report.quantities import (
     millimetres,
     when,
 )
-from labkit.report.style import channel_inks
 from labkit.report.table import Table
 from labkit.results import Results, Wavefront
 from labkit.results.verdicts import explained

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 
+from labkit.figure_style import channel_inks, styled
 from labkit.optics.lens import defocus_waves
 from labkit.report import charts, pictures
 from labkit.report.best_focus import DIRECTIONS, ChannelFocus, full_nyquist_per_mm
@@ -17,7 +18,6 @@ from labkit.report.photographs import Photographs
 from labkit.report.plates import Panel, Plate, chip, drawing, picture
 from labkit.report.pupil_chart import pupil_chart
 from labkit.report.quantities import estimated, fixed, millimetres, plus_minus
-from labkit.report.style import channel_inks, styled
 from labkit.report.through_charts import modulation_chart, strehl_chart
 from labkit.results import Residuals, Results, Wavefront
 from labkit.types import Floats

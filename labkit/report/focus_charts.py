@@ -6,9 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from labkit.report.curves import Curves
-from labkit.report.quantities import estimated, plus_minus
-from labkit.report.style import (
+from labkit.figure_style import (
     DOTTED,
     HALF_IN,
     INK,
@@ -20,6 +18,8 @@ from labkit.report.style import (
     chart,
     scaling,
 )
+from labkit.report.curves import Curves
+from labkit.report.quantities import estimated, plus_minus
 from labkit.results import Focus, Results, Wavefront
 from labkit.results.best_focus import SHARE
 from labkit.types import Floats

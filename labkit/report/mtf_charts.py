@@ -3,10 +3,10 @@
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from labkit.figure_style import DOTTED, LINE_OF, SOFT, THIRD_IN, Ink, banded, chart
 from labkit.report.best_focus import DIRECTIONS, full_nyquist_per_mm
 from labkit.report.curves import Curves
 from labkit.report.quantities import estimated
-from labkit.report.style import DOTTED, LINE_OF, SOFT, THIRD_IN, Ink, banded, chart
 from labkit.results import Results
 
 SPARSE = (0, (6, 3))

@@ -14,12 +14,12 @@ from matplotlib.patches import Circle
 from numpy.typing import NDArray
 from PIL import Image
 
+from labkit.figure_style import HALF_IN, INK, THIRD_IN, Ink, scaling
 from labkit.optics.lens import blur_per_wave_um
 from labkit.optics.metrics import opd_map, psf_value
 from labkit.optics.wavefront import FittedWavefront
 from labkit.report.photographs import Photographs
 from labkit.report.quantities import millimetres
-from labkit.report.style import HALF_IN, INK, THIRD_IN, Ink, scaling
 from labkit.results import Residuals, Results, Wavefront
 from labkit.types import Floats
 

@@ -9,7 +9,7 @@ from re import sub
 from matplotlib.figure import Figure
 from PIL import Image
 
-from labkit.report.style import png, svg
+from labkit.figure_style import png, svg
 
 MOST_COLOURS = 256
 

@@ -7,8 +7,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, PathPatch
 from matplotlib.path import Path
 
+from labkit.figure_style import INK, SOFT, THIRD_IN
 from labkit.optics.rim import Rim
-from labkit.report.style import INK, SOFT, THIRD_IN
 
 ARCS = 360  # of the outline as it is drawn
 CLEAR = "#e9e3cf"

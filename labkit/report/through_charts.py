@@ -8,9 +8,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from labkit.figure_style import DASHED, HALF_IN, POINT, SOFT, SOLID, Ink, banded, chart
 from labkit.optics.through_focus import DEPTH
 from labkit.report.curves import STEPS, Curves
-from labkit.report.style import DASHED, HALF_IN, POINT, SOFT, SOLID, Ink, banded, chart
 
 HEIGHT_IN = 3.2
 MARK_EVERY = STEPS // 5  # points of a curve to a marker, staggered between channels

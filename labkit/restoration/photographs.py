@@ -11,11 +11,11 @@ import numpy as np
 from labkit.calibration.calibrate import Calibration, channel_data
 from labkit.calibration.stack import saturated
 from labkit.errors import DataError
-from labkit.filter_array import IN_COLOURS, MONO
 from labkit.photographs.decoding import read_raw
 from labkit.photographs.exif import Exif, read_exif
 from labkit.photographs.photograph import Mosaic
 from labkit.plan import Plan
+from labkit.plan.sensor import IN_COLOURS, MONO
 from labkit.restoration.job import Area, Photograph
 from labkit.session.frame import Frame
 from labkit.types import Floats

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from labkit.analysis.measured_camera import optics_behind
 from labkit.calibration.calibrate import calibrate
 from labkit.errors import DataError
-from labkit.filter_array import MONO
-from labkit.measured_camera import optics_behind
 from labkit.optics.lens import blur_per_wave_um
+from labkit.plan.sensor import MONO
 from labkit.restoration import output
 from labkit.restoration.blind import SPAN_WAVES, fitted_defocus
 from labkit.restoration.colours import colour_coupling

@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from labkit.errors import LONGEST, shown
-from labkit.finding import NOTE, Finding
+from labkit.findings import NOTE, Finding
 from labkit.key import Key
 from labkit.optics.rim import ROUND, Circle, Cut, Diaphragm, Rim
 from labkit.optics.spectrum import Spectrum

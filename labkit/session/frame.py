@@ -11,8 +11,7 @@ from typing import Any
 
 from labkit.errors import SessionError
 from labkit.files import is_name
-from labkit.finding import Finding
-from labkit.findings import found
+from labkit.findings import Finding, found
 from labkit.session.journal import Event
 from labkit.types import FRAME_KINDS, FrameKind
 

@@ -15,14 +15,14 @@ from typing import Any
 
 from labkit.errors import DataError, InputError, RawError, shown
 from labkit.files import refuse_special
-from labkit.filter_array import MONO
-from labkit.finding import Finding
+from labkit.findings import Finding
 from labkit.photographs.alterations import Alterations, alterations
 from labkit.photographs.decoding import read_raw
 from labkit.photographs.exposure import difference, exposure_problem
 from labkit.photographs.photograph import Mosaic
 from labkit.plan import Plan
 from labkit.plan.messages import plain_number
+from labkit.plan.sensor import MONO
 from labkit.session.making import made_beside, refuse_existing
 from labkit.session.session import Session
 from labkit.session.stated import contradictions

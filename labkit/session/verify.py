@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 from labkit.errors import SessionError
 from labkit.files import checksum_problem, link_problem, links_in
-from labkit.finding import Finding
-from labkit.findings import found
+from labkit.findings import Finding, found
 from labkit.session.frame import FRAMES, pending
 from labkit.session.journal import JOURNAL, is_being_written
 from labkit.session.session import Session, leftovers, unlisted

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from labkit.analysis.kept_fits import KeptFits
 from labkit.estimation import starts
 from labkit.estimation.climb import NoisePrior
 from labkit.estimation.likelihood import FrameData
@@ -26,7 +27,6 @@ from labkit.estimation.sketches import Sketches, sweep
 from labkit.estimation.starts import Log
 from labkit.imaging.parts import LowPass
 from labkit.imaging.warp import Pose
-from labkit.kept_fits import KeptFits
 from labkit.optics.zernike import twin_signs
 from labkit.types import Floats
 

@@ -13,7 +13,7 @@ import tifffile
 from labkit.calibration.calibrate import Calibration, ChannelData, calibrate, channel_data
 from labkit.calibration.masters import clipped_mean, shrunk, smooth_illumination
 from labkit.errors import DataError, RawError
-from labkit.finding import Finding
+from labkit.findings import Finding
 from labkit.photographs.decoding import read_raw
 from labkit.session.frame import Frame
 from labkit.types import Floats

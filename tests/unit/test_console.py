@@ -9,7 +9,7 @@ import pytest
 
 from labkit import console as console_module
 from labkit.acquisition.log import CaptureLog
-from labkit.console import Console
+from labkit.cli.console import Console
 from labkit.pace import PAUSED, Work
 
 

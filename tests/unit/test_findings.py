@@ -20,10 +20,11 @@ from labkit.estimation.findings import (
     two_camps,
     undetermined,
 )
-from labkit.finding import Finding, each_once
 from labkit.findings import (
     NO_ANSWER,
     TEXTS,
+    Finding,
+    each_once,
     flats_of_another_range,
     flats_partly_unlit,
     found,

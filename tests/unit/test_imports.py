@@ -1,4 +1,4 @@
-"""Data flows one way: a room imports only from itself and from rooms above it. The imports are read, not run."""
+"""Data flows one way through six layers: a room imports only from itself and from rooms above it. Imports are read, not run."""
 
 import ast
 from collections.abc import Iterator
@@ -8,42 +8,32 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 
-ROOMS = [
-    ["types", "errors", "key", "mode_groups", "pace", "uncertain", "version"],
-    ["finding"],
-    ["findings"],
-    ["files", "arrays", "filter_array", "npz", "sharing", "user_state"],
-    ["typed_file"],
-    ["apart"],
-    ["plan"],
-    ["photographs"],
-    ["target"],
-    ["target_file"],
-    ["execute"],
-    ["kept_fits"],
-    ["optics"],
-    ["panel"],
-    ["results"],
-    ["imaging"],
-    ["estimation"],
-    ["session"],
-    ["report"],
-    ["finder"],
-    ["calibration"],
-    ["devices"],
-    ["acquisition"],
-    ["analysis"],
-    ["measured_camera", "advice"],
-    ["restoration", "edges"],
-    ["experiments"],
-    ["progress_bar"],
-    ["console"],
-    ["demo"],
-    ["cli"],
-]
-"""From top to bottom. Rooms on one line do not see each other."""
+LAYERS = {
+    "base": [
+        *("types", "errors", "key", "mode_groups", "pace", "uncertain", "version"),
+        *("findings", "files", "arrays", "npz", "typed_file", "apart"),
+        *("sharing", "execute", "figure_style"),
+        *("plan", "target", "target_file"),
+    ],
+    "model": ["optics", "panel", "imaging"],
+    "material": [
+        *("photographs", "results", "session", "finder", "calibration"),
+        *("devices", "acquisition"),
+    ],
+    "estimation": ["estimation"],
+    "subjects": ["analysis", "advice", "restoration", "edges", "experiments"],
+    "faces": ["report", "demo", "cli"],
+}
+"""Six layers from top to bottom, and their rooms: each imports from rooms before it, those of its own layer included."""
 
-LEVEL = {name: level for level, names in enumerate(ROOMS) for name in names}
+ORDER = [room for rooms in LAYERS.values() for room in rooms]
+
+NO_ARROW = {
+    "analysis": {"devices", "acquisition"},
+    "report": {"estimation", "analysis", "calibration", "finder", "devices"},
+    "results": {"imaging", "panel"},
+}
+"""Rooms that a room must not import though they come before it."""
 
 MATHEMATICS = (
     *(
@@ -146,9 +136,24 @@ def test_a_room_imports_only_from_rooms_above_it(path: Path) -> None:
     below = [
         dotted
         for dotted in imported(path)
-        if (other := room(dotted)) not in (None, own) and LEVEL[str(other)] >= LEVEL[own]
+        if (other := room(dotted)) not in (None, own)
+        and ORDER.index(str(other)) >= ORDER.index(own)
     ]
     assert below == []
+
+
+def test_every_room_is_in_one_of_six_layers() -> None:
+    rooms = {path.stem for path in (ROOT / "labkit").glob("*.py")}
+    rooms |= {path.parent.name for path in (ROOT / "labkit").glob("*/__init__.py")}
+    assert rooms - {"__init__", "drivers", "targets"} == set(ORDER)
+    assert len(LAYERS) == 6
+
+
+@pytest.mark.parametrize(("own", "others"), NO_ARROW.items())
+def test_no_arrow_goes_where_none_is_needed(own: str, others: set[str]) -> None:
+    for path in modules(f"labkit/{own}"):
+        reach = {room(dotted) for dotted in reached(path)}
+        assert reach & others == set(), name(path)
 
 
 @pytest.mark.parametrize("path", modules("labkit"), ids=name)

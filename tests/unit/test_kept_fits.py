@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from labkit import typed_file
+from labkit.analysis.kept_fits import SIGNATURE_BYTES, KeptFits
 from labkit.estimation.residuals import Verdict
-from labkit.kept_fits import SIGNATURE_BYTES, KeptFits
 
 HALF = np.arange(8.0)[::2]
 

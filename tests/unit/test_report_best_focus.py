@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from labkit.figure_style import NAMED
 from labkit.optics.psf import diffraction_mtf
 from labkit.report.best_focus import (
     ChannelFocus,
@@ -17,7 +18,6 @@ from labkit.report.focus_charts import energy_chart
 from labkit.report.focus_table import depth_table, focus_table
 from labkit.report.mtf_charts import mtf_chart
 from labkit.report.pictures import map_limit, opd_picture
-from labkit.report.style import NAMED
 from labkit.report.through_charts import modulation_chart, strehl_chart
 from labkit.results import Focus, Wavefront
 from labkit.uncertain import Uncertain

@@ -8,10 +8,10 @@ import pytest
 from PIL import Image
 from scipy import special
 
+from labkit.figure_style import NAMED, channel_inks
 from labkit.report.charts import residual_quantiles
 from labkit.report.pictures import chip_image
 from labkit.report.quantities import estimated, fixed, plus_minus, when
-from labkit.report.style import NAMED, channel_inks
 from labkit.results import Residuals
 
 

@@ -14,8 +14,7 @@ import pytest
 
 from labkit import results
 from labkit.errors import DataError
-from labkit.finding import Finding
-from labkit.findings import found
+from labkit.findings import Finding, found
 from labkit.key import Key
 from labkit.optics.rim import ROUND, Circle, Diaphragm, Rim
 from labkit.report.html import write_report

@@ -15,8 +15,7 @@ from labkit.estimation.candidate import Measured, Observed
 from labkit.estimation.estimate import Estimate, LocalFit
 from labkit.estimation.findings import Moves
 from labkit.estimation.select import select
-from labkit.finding import Finding
-from labkit.findings import found
+from labkit.findings import Finding, found
 from labkit.imaging.parts import SpectrumWidth
 from labkit.key import Key
 from labkit.plan import Plan

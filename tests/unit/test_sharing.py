@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from labkit.analysis.kept_fits import KeptFits
 from labkit.errors import InputError
 from labkit.execute import Workers
-from labkit.kept_fits import KeptFits
 from labkit.sharing import Carried, Shared, Stored, digest_of, looked_up_by, packed, share
 from labkit.types import Floats
 

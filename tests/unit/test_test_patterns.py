@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from labkit.console import Console
+from labkit.cli.console import Console
 from labkit.devices.protocols import PanelInfo
 from labkit.devices.serve_target import panel_plans
 from labkit.devices.test_patterns import PATTERNS, pattern

@@ -12,8 +12,7 @@ import pytest
 
 from labkit import npz, typed_file
 from labkit.estimation.local import Found
-from labkit.finding import Finding
-from labkit.findings import found
+from labkit.findings import Finding, found
 from labkit.imaging.optics import Optics
 from labkit.imaging.parts import KNOWN, Diffusion, Veil
 from labkit.key import Key

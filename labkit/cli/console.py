@@ -15,7 +15,7 @@ from labkit.errors import printable
 from labkit.pace import Work
 
 if TYPE_CHECKING:
-    from labkit.progress_bar import Bar
+    from labkit.cli.progress_bar import Bar
     from labkit.types import Progress
 
 # rich, segno and NumPy are imported where they are needed: a mistyped path must not wait for them.
@@ -91,7 +91,7 @@ class Console:
         if self.quiet:
             yield lambda done, total, step: None
             return
-        from labkit.progress_bar import bar_of, terminal
+        from labkit.cli.progress_bar import bar_of, terminal
 
         work, shown_on = Work(doing), terminal()
         if shown_on is None:

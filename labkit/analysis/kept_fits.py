@@ -19,15 +19,12 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
-import labkit
 from labkit import typed_file
 from labkit.errors import InputError
 from labkit.execute import Result, Run, Task
-from labkit.files import drop_link, write_atomically, writing
-from labkit.finding import Finding
-from labkit.findings import found
+from labkit.files import drop_link, kept_secret, state_folder, write_atomically, writing
+from labkit.findings import Finding, found
 from labkit.sharing import Shared, Value, packed, share
-from labkit.user_state import kept_secret, state_folder
 
 FOLDER = ".fits"
 
@@ -127,6 +124,6 @@ def _key(function: Callable[..., object], task: object) -> str:
 def _source() -> str:
     """Return a hash of labkit's installed source."""
     digest = hashlib.sha256()
-    for path in sorted(Path(str(labkit.__file__)).parent.rglob("*.py")):
+    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
         digest.update(path.read_bytes())
     return digest.hexdigest()
