@@ -7,8 +7,8 @@ import threading
 
 import pytest
 
-from labkit import console as console_module
 from labkit.acquisition.log import CaptureLog
+from labkit.cli import console as console_module
 from labkit.cli.console import Console
 from labkit.pace import PAUSED, Work
 
