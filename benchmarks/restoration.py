@@ -14,7 +14,7 @@ import numpy as np
 from scipy import ndimage
 
 from labkit.imaging.optics import Optics
-from labkit.restoration.job import Colour, Job, Photograph
+from labkit.restoration.job import Colour, Exposure, Job
 from labkit.restoration.tiles import memory_bytes, restore_job
 
 PLACES = {"R": ((0, 0),), "G": ((0, 1), (1, 0)), "B": ((1, 1),)}
@@ -47,7 +47,7 @@ def job(side: int, colours: str, samples: int) -> Job:
         )
         for name in colours
     ]
-    photograph = Photograph(counts, np.ones(counts.shape, bool), np.ones(counts.shape))
+    photograph = Exposure(counts, np.ones(counts.shape, bool), np.ones(counts.shape))
     return Job((photograph,), tuple(lenses), 2, samples, GUARD_PX, np.eye(len(lenses)))
 
 

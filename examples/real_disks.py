@@ -26,7 +26,7 @@ from labkit.estimation.local import Found, Guesses, Views, find_optima
 from labkit.estimation.observation import Observation
 from labkit.estimation.stated import optics_of
 from labkit.imaging.optics import Optics
-from labkit.photographs.decoding import read_raw
+from labkit.photographs.decoding import read_photograph
 from labkit.plan import Sensor
 from labkit.session.import_frames import import_frames
 from labkit.target import Target, open_target
@@ -242,7 +242,8 @@ def nonlinearity(photographs: Path) -> float:
     worst = 0.0
     for nm in BANDS:
         every = [
-            (ms, read_raw(photograph(photographs, nm, ms), SENSOR)) for ms in EXPOSURES_MS
+            (ms, read_photograph(photograph(photographs, nm, ms), SENSOR))
+            for ms in EXPOSURES_MS
         ]
         ladder = [
             (ms, mosaic)

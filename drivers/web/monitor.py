@@ -15,7 +15,7 @@ from labkit.devices.operator import Operator
 from labkit.drivers.web.preview import FrameSummary, look_at, summarise
 from labkit.finder.preview import Look
 from labkit.pace import Pace
-from labkit.photographs.photograph import Mosaic
+from labkit.photographs.photograph import Photograph
 from labkit.types import FrameKind
 
 LOG_LINES, SHARPNESS_POINTS = 200, 60
@@ -61,7 +61,7 @@ class Monitor:
         name: str,
         kind: FrameKind,
         range_mm: float | None,
-        mosaic: Mosaic,
+        mosaic: Photograph,
         done: int,
         total: int,
     ) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from labkit.finder.preview import Look, jpeg
 from labkit.finder.sharpness import sharpest_edge_px
-from labkit.photographs.photograph import Mosaic
+from labkit.photographs.photograph import Photograph
 from labkit.types import FrameKind
 
 BINS = 64
@@ -32,7 +32,7 @@ class FrameSummary:
     note: str = ""
 
 
-def look_at(name: str, kind: FrameKind, range_mm: float | None, mosaic: Mosaic) -> Look:
+def look_at(name: str, kind: FrameKind, range_mm: float | None, mosaic: Photograph) -> Look:
     """Return a frame of a session as the page shows it."""
     return Look(
         name,
@@ -57,7 +57,7 @@ def summarise(number: int, look: Look) -> tuple[FrameSummary, bytes]:
     return summary, jpeg(look.mosaic, look.corners_px)
 
 
-def exposure(mosaic: Mosaic) -> tuple[float, float]:
+def exposure(mosaic: Photograph) -> tuple[float, float]:
     """Return the percentage of pixels at or above white, and the median in percent of the way from black to
     white.
     """
@@ -68,7 +68,7 @@ def exposure(mosaic: Mosaic) -> tuple[float, float]:
     )
 
 
-def histogram(mosaic: Mosaic) -> list[float]:
+def histogram(mosaic: Photograph) -> list[float]:
     """Return the share of pixels in 64 equal steps from black to white; values beyond count in the first and
     last.
     """

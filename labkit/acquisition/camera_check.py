@@ -22,9 +22,9 @@ from labkit.devices.registry import open_camera
 from labkit.errors import CameraError, TargetError
 from labkit.finder.find_target import find_target, grey_image
 from labkit.finder.sharpness import blur_px, sharpest_edge_px
-from labkit.photographs.decoding import read_raw
+from labkit.photographs.decoding import read_photograph
 from labkit.photographs.exposure import exposure_problem, pixel_noise
-from labkit.photographs.photograph import Mosaic
+from labkit.photographs.photograph import Photograph
 from labkit.plan import Plan
 from labkit.plan.sensor import MONO
 from labkit.target import open_target
@@ -118,7 +118,7 @@ def take_test_frame(alone: Alone) -> FrameReport:
         camera.configure(ExposureSettings(settings.exposure_s, settings.iso))
     with tempfile.TemporaryDirectory() as folder:
         frame = camera.expose(Path(folder) / "test")
-        mosaic = read_raw(frame.path, alone.plan.sensor)
+        mosaic = read_photograph(frame.path, alone.plan.sensor)
     check = camera.check(1) if isinstance(camera, Checkable) else Check()
     dark, light = light_problem(mosaic, alone)
     blur, words = (
@@ -139,7 +139,7 @@ def take_test_frame(alone: Alone) -> FrameReport:
     )
 
 
-def _blur_on_target(mosaic: Mosaic, alone: Alone) -> tuple[float | None, str]:
+def _blur_on_target(mosaic: Photograph, alone: Alone) -> tuple[float | None, str]:
     """Return the diameter in pixels of the blur circle on the plan's target, and the search's result in words.
 
     The diameter is None if the target is not found.
@@ -147,7 +147,7 @@ def _blur_on_target(mosaic: Mosaic, alone: Alone) -> tuple[float | None, str]:
     if not alone.planned:
         return None, "not looked for: give a plan that describes it"
     try:
-        grey = grey_image(mosaic.counts - mosaic.black_map(), mosaic.pattern)
+        grey = grey_image(mosaic.light, mosaic.pattern)
         target = open_target(alone.plan.target)
         return blur_px(
             grey, target, find_target(grey, target)
@@ -156,7 +156,7 @@ def _blur_on_target(mosaic: Mosaic, alone: Alone) -> tuple[float | None, str]:
         return None, str(error)
 
 
-def light_problem(mosaic: Mosaic, alone: Alone) -> tuple[bool, str | None]:
+def light_problem(mosaic: Photograph, alone: Alone) -> tuple[bool, str | None]:
     """Return whether a photograph is dark, and what is wrong with its light in the plan's channels, if anything."""
     names = _names(mosaic)
     wanted = {channel.name for channel in alone.plan.channel}
@@ -171,7 +171,7 @@ def light_problem(mosaic: Mosaic, alone: Alone) -> tuple[bool, str | None]:
     )
 
 
-def _names(mosaic: Mosaic) -> list[str]:
+def _names(mosaic: Photograph) -> list[str]:
     return (
         ["mono"]
         if mosaic.pattern == MONO
@@ -179,7 +179,7 @@ def _names(mosaic: Mosaic) -> list[str]:
     )
 
 
-def _colours(mosaic: Mosaic) -> Iterator[ColourReport]:
+def _colours(mosaic: Photograph) -> Iterator[ColourReport]:
     for name in _names(mosaic):
         first = mosaic.planes(name)[0]
         plane = np.ascontiguousarray(mosaic.counts[first])

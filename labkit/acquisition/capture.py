@@ -38,9 +38,9 @@ from labkit.errors import (
     RawError,
 )
 from labkit.panel.picture import PanelPicture
-from labkit.photographs.decoding import read_raw
+from labkit.photographs.decoding import read_photograph
 from labkit.photographs.exposure import exposure_problem
-from labkit.photographs.photograph import Mosaic
+from labkit.photographs.photograph import Photograph
 from labkit.plan import Plan
 from labkit.session.session import EXPOSING, Session, begin
 from labkit.target import open_target
@@ -159,7 +159,7 @@ class _Capture:
         self._patient = PatientDevices(
             session.plan, devices, log, session.folder / EXPOSING
         )
-        self._first: Mosaic | None = None
+        self._first: Photograph | None = None
 
     def run(self, check: bool, warn: Callable[[str], None] | None) -> None:
         todo = missing(self._session)
@@ -167,7 +167,7 @@ class _Capture:
             return
         target = picture_for(self._session.plan, self._devices)
         for frame in self._session.frames[:1]:
-            self._first = read_raw(frame.path, self._session.plan.sensor)
+            self._first = read_photograph(frame.path, self._session.plan.sensor)
         darks = [shot for shot in todo if shot.kind == "dark"]
         stops = list(
             dict.fromkeys(shot.range_mm for shot in todo if shot.range_mm is not None)
@@ -276,10 +276,10 @@ class _Capture:
         self._session.add_frame(raw.path, raw.path.name, shot.kind, shot.range_mm, **meta)
         self._log.took(shot, mosaic)
 
-    def _checked(self, path: Path, shot: Shot) -> Mosaic:
+    def _checked(self, path: Path, shot: Shot) -> Photograph:
         """Return a photograph, decoded. Raises RawError or DataError for a useless one."""
         plan = self._session.plan
-        mosaic = read_raw(path, plan.sensor)
+        mosaic = read_photograph(path, plan.sensor)
         problem = exposure_problem(
             mosaic, shot.kind, (channel.name for channel in plan.channel)
         )
@@ -296,7 +296,7 @@ class _Capture:
         return mosaic
 
 
-def _likeness(mosaic: Mosaic) -> str:
+def _likeness(mosaic: Photograph) -> str:
     rows, cols = mosaic.counts.shape
     return f"{rows} × {cols} {mosaic.cfa} of {mosaic.camera or 'an unnamed camera'}"
 

@@ -16,8 +16,8 @@ from labkit.errors import TargetError
 from labkit.finder.find_target import find_target, grey_image, margin_px
 from labkit.finder.preview import Look
 from labkit.finder.sharpness import blur_px, sharpest_edge_px
-from labkit.photographs.decoding import read_raw
-from labkit.photographs.photograph import Mosaic
+from labkit.photographs.decoding import read_photograph
+from labkit.photographs.photograph import Photograph
 from labkit.plan import Sensor
 from labkit.target import open_target
 from labkit.types import Floats
@@ -73,9 +73,9 @@ def focus(
             seen = camera.preview(path) if live and isinstance(camera, Previewing) else None
             live = seen is not None
             mosaic = (
-                read_raw(camera.expose(path).path, alone.plan.sensor)
+                read_photograph(camera.expose(path).path, alone.plan.sensor)
                 if seen is None
-                else read_raw(seen, LIVE)
+                else read_photograph(seen, LIVE)
             )
         reading = _read(number, LIVE_VIEW if live else FRAME, mosaic, alone)
         corners = None if reading.corners_px is None else np.array(reading.corners_px)
@@ -89,7 +89,7 @@ def focus(
         yield reading
 
 
-def _read(number: int, source: str, mosaic: Mosaic, alone: Alone) -> FocusReading:
+def _read(number: int, source: str, mosaic: Photograph, alone: Alone) -> FocusReading:
     dark, note = light_problem(mosaic, alone)
     corners, blur, margin = (
         (None, None, None) if dark or not alone.planned else _target(mosaic, alone)
@@ -111,12 +111,12 @@ def _read(number: int, source: str, mosaic: Mosaic, alone: Alone) -> FocusReadin
 
 
 def _target(
-    mosaic: Mosaic, alone: Alone
+    mosaic: Photograph, alone: Alone
 ) -> tuple[Floats | None, float | None, float | None]:
     """Return the target's corners, its blur circle and its distance from the frame's edge, in pixels."""
     target = open_target(alone.plan.target)
     try:
-        grey = grey_image(mosaic.counts - mosaic.black_map(), mosaic.pattern)
+        grey = grey_image(mosaic.light, mosaic.pattern)
         corners = find_target(grey, target)
     except TargetError:
         return None, None, None

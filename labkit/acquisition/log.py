@@ -9,7 +9,7 @@ from labkit.acquisition.sequence import Shot
 from labkit.devices.observer import Holding, Observer, Viewer
 from labkit.finder.preview import Look
 from labkit.pace import PAUSED
-from labkit.photographs.photograph import Mosaic
+from labkit.photographs.photograph import Photograph
 from labkit.session.session import Session
 from labkit.types import Progress
 
@@ -72,7 +72,7 @@ class CaptureLog:
         self.note(HOMED, homing=homing)
         return homing
 
-    def took(self, shot: Shot, mosaic: Mosaic) -> None:
+    def took(self, shot: Shot, mosaic: Photograph) -> None:
         """Report a committed photograph."""
         self.done += 1
         self._progress(self.done, self.total, shot.name)

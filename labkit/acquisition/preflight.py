@@ -33,7 +33,7 @@ from labkit.optics.lens import (
 )
 from labkit.optics.wavefront import FARTHEST_WAVES
 from labkit.panel.picture import PanelPicture
-from labkit.photographs.decoding import read_raw
+from labkit.photographs.decoding import read_photograph
 from labkit.photographs.exposure import exposure_problem
 from labkit.plan import Plan
 from labkit.target import open_target
@@ -220,7 +220,9 @@ class _Round:
                 self.folder.mkdir(exist_ok=True)
                 path.replace(file)
             self.findings.measured["frame_bytes"] = file.stat().st_size
-            return _Kept(Look(name, range_mm, read_raw(file, self.plan.sensor)), file)
+            return _Kept(
+                Look(name, range_mm, read_photograph(file, self.plan.sensor)), file
+            )
 
         if self.findings.dark:
             return None
@@ -253,7 +255,7 @@ class _Kept:
 
 def _grey(look: Look) -> Floats:
     mosaic = look.mosaic
-    return grey_image(mosaic.counts - mosaic.black_map(), mosaic.pattern)
+    return grey_image(mosaic.light, mosaic.pattern)
 
 
 def _check_disk(folder: Path, frames: int, findings: Findings) -> None:

@@ -33,8 +33,8 @@ from labkit.imaging.warp import Pose
 from labkit.key import same_range
 from labkit.optics.lens import ThinLens, ground_sample_mm
 from labkit.panel.target_pixels import as_shown
-from labkit.photographs.decoding import read_raw
-from labkit.photographs.photograph import Mosaic
+from labkit.photographs.decoding import read_photograph
+from labkit.photographs.photograph import Photograph
 from labkit.plan import Plan
 from labkit.session.frame import Frame, distinct
 from labkit.session.session import Session
@@ -49,7 +49,7 @@ class _Shot:
     """A decoded photograph of the target, with the target's corners (4, 2) in pixels."""
 
     frame: Frame
-    mosaic: Mosaic
+    mosaic: Photograph
     corners_px: Floats
 
 
@@ -178,11 +178,11 @@ def _channels(plan: Plan, channel: str | Sequence[str] | None) -> list[str]:
 
 
 def _locate(frame: Frame, plan: Plan, target: Target) -> _Shot:
-    mosaic = read_raw(frame.path, plan.sensor)
+    mosaic = read_photograph(frame.path, plan.sensor)
     if plan.target.corners_px is not None:
         return _Shot(frame, mosaic, np.array(plan.target.corners_px, float))
     try:
-        grey = grey_image(mosaic.counts - mosaic.black_map(), mosaic.pattern)
+        grey = grey_image(mosaic.light, mosaic.pattern)
         return _Shot(frame, mosaic, _found(grey, target, _stated_scale(frame, plan)))
     except TargetError as error:
         if other := _other_surround(mosaic, frame, plan):
@@ -193,14 +193,14 @@ def _locate(frame: Frame, plan: Plan, target: Target) -> _Shot:
         raise TargetError(f"{frame.file}: {error}") from error
 
 
-def _other_surround(mosaic: Mosaic, frame: Frame, plan: Plan) -> str | None:
+def _other_surround(mosaic: Photograph, frame: Frame, plan: Plan) -> str | None:
     """Return the surround with which the target is found, black or white, where the plan states the other one."""
     if plan.target.surround not in SURROUNDS:
         return None
     (other,) = SURROUNDS.keys() - {plan.target.surround}
     target = open_target(plan.replace(target={"surround": other}).target)
     try:
-        grey = grey_image(mosaic.counts - mosaic.black_map(), mosaic.pattern)
+        grey = grey_image(mosaic.light, mosaic.pattern)
         _found(grey, target, _stated_scale(frame, plan))
     except TargetError:
         return None
@@ -298,11 +298,11 @@ def _measured(group: Sequence[Frame]) -> float | None:
     return float(np.mean(readings)) if readings else group[0].range_mm
 
 
-def _noise(data: ChannelData, mosaic: Mosaic) -> NoisePrior:
+def _noise(data: ChannelData, mosaic: Photograph) -> NoisePrior:
     """Return a prior for the noise from flats and darks, or a wide prior without them."""
     noise = data.noise
     gain, read = noise.gain, noise.read_noise
-    white = mosaic.white - float(np.mean(mosaic.black))
+    white = mosaic.full_light
     gain_relative_std = (
         max(noise.gain_std / gain, 1e-3) if gain and noise.gain_std else UNKNOWN_NOISE_STD
     )

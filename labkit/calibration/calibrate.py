@@ -15,15 +15,13 @@ from labkit.calibration.darks import dark_findings, reduce_darks
 from labkit.calibration.falloff import Falloff
 from labkit.calibration.flats import flat_findings, pixel_response, reduce_flats
 from labkit.calibration.photon_transfer import NoiseEstimate, photon_transfer
-from labkit.calibration.stack import read_stack, saturated
+from labkit.calibration.stack import read_stack
 from labkit.errors import DataError
 from labkit.findings import Finding, each_once, flats_of_another_range
-from labkit.photographs.photograph import Cut, Mosaic
+from labkit.photographs.photograph import WHOLE, Cut, Photograph
 from labkit.plan import Plan
 from labkit.session.frame import Frame
 from labkit.types import Bools, Floats, Floats32
-
-WHOLE: Cut = (slice(0, None), slice(0, None))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,7 +123,11 @@ def by_range(frames: Iterable[Frame]) -> dict[float | None, list[Frame]]:
 
 
 def channel_data(
-    calibration: Calibration, frame: Frame, mosaic: Mosaic, channel: str, cut: Cut = WHOLE
+    calibration: Calibration,
+    frame: Frame,
+    mosaic: Photograph,
+    channel: str,
+    cut: Cut = WHOLE,
 ) -> ChannelData:
     """Return a channel of a photograph with its calibration.
 
@@ -135,14 +137,14 @@ def channel_data(
     """
     _refuse_other_sensor(calibration, frame, mosaic)
     part, where = mosaic.part(channel, cut), mosaic.where(channel, cut)
-    offset = part.black_map() if calibration.offset is None else calibration.offset[where]
+    offset = part.black_map if calibration.offset is None else calibration.offset[where]
     factor, falloff, factor_std = (
         np.ones(part.counts.shape),
         np.ones(part.counts.shape),
         np.zeros(part.counts.shape),
     )
     findings = [*mosaic.notes, *calibration.findings]
-    mask = part.channel_mask(channel) & ~saturated(part)
+    mask = part.channel_mask(channel) & ~part.saturated
     if calibration.illumination:
         range_mm, taken = _nearest(frame, calibration.illumination)
         findings += taken
@@ -164,15 +166,15 @@ def channel_data(
         illumination=np.nan_to_num(factor, nan=1.0),
         relative_std=factor_std,
         falloff=falloff,
-        rounding=np.zeros(part.counts.shape)
-        if part.tone is None
-        else part.tone.rounding_variance(part.counts),
+        rounding=part.rounding_variance,
         noise=calibration.noise.get(channel, NoiseEstimate(None, None, None, None)),
         findings=tuple(each_once(findings)),
     )
 
 
-def _refuse_other_sensor(calibration: Calibration, frame: Frame, mosaic: Mosaic) -> None:
+def _refuse_other_sensor(
+    calibration: Calibration, frame: Frame, mosaic: Photograph
+) -> None:
     masters = [calibration.offset, calibration.response, *calibration.illumination.values()]
     rows, cols = mosaic.shape
     if any(

@@ -76,7 +76,7 @@ def reduce_flats(stack: Stack, names: Sequence[str], dark: Dark | None) -> Flat:
 
     names: of the channels
     """
-    offset = stack.first.black_map() if dark is None else dark.offset
+    offset = stack.first.black_map if dark is None else dark.offset
     mean = clipped_mean(stack.counts) - offset
     good = ~stack.saturated if dark is None else dark.usable & ~stack.saturated
     illumination = np.full(mean.shape, np.nan, dtype=np.float32)

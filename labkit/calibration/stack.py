@@ -9,14 +9,11 @@ import numpy as np
 
 from labkit.calibration.photon_transfer import Scatter, scatter_of
 from labkit.errors import DataError
-from labkit.photographs.decoding import read_raw
-from labkit.photographs.photograph import Mosaic
+from labkit.photographs.decoding import read_photograph
+from labkit.photographs.photograph import Photograph
 from labkit.plan import Sensor
 from labkit.session.frame import Frame
 from labkit.types import Bools, Counts, Floats, Floats32
-
-SATURATION_MARGIN = 0.01
-"""Counts this near to the white level, as a share of the way up from black, count as saturated: noise is cut there."""
 
 NOISE_PIXELS = 400_000
 """Pixels of a channel that photon transfer looks at: enough for 0.2 % from two flats."""
@@ -31,7 +28,7 @@ class Stack:
     """
 
     counts: Counts
-    first: Mosaic
+    first: Photograph
     saturated: Bools
 
     def scatter(
@@ -58,24 +55,16 @@ def read_stack(frames: Sequence[Frame], sensor: Sensor) -> Stack:
     Raises RawError for a file that cannot be read, DataError for frames of different
     sensors.
     """
-    first = read_raw(frames[0].path, sensor)
+    first = read_photograph(frames[0].path, sensor)
     counts = np.empty((len(frames), *first.counts.shape), dtype=np.uint16)
-    counts[0], saturated_pixels = first.counts, saturated(first)
+    counts[0], saturated_pixels = first.counts, first.saturated
     for place, frame in enumerate(frames[1:], start=1):
-        mosaic = read_raw(frame.path, sensor)
+        mosaic = read_photograph(frame.path, sensor)
         if mosaic.counts.shape != first.counts.shape or mosaic.pattern != first.pattern:
             size = "×".join(map(str, mosaic.shape))
             raise DataError(
                 f"{frame.file} is of another sensor than {frames[0].file}: {size} pixels, {mosaic.cfa}"
             )
         counts[place] = mosaic.counts
-        saturated_pixels |= saturated(mosaic)
+        saturated_pixels |= mosaic.saturated
     return Stack(counts, replace(first, counts=counts[0]), saturated_pixels)
-
-
-def saturated(mosaic: Mosaic) -> Bools:
-    """Return the (rows, cols) pixels at the white level, or so near that their noise is clipped."""
-    black = mosaic.black_map()
-    return np.asarray(
-        mosaic.counts >= mosaic.white - SATURATION_MARGIN * (mosaic.white - black)
-    )

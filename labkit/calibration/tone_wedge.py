@@ -112,7 +112,7 @@ def measure_tone(photograph: Path) -> Tone:
             f"{photograph}: is a raw file: its numbers are proportional to light, and have no tone curve"
         )
     try:
-        picture, _ = read_file(photograph, container)
+        picture = read_file(photograph)
     except RawError as error:
         raise RawError(f"{photograph}: {error}") from error
     wedge = open_target(WEDGE)

@@ -15,7 +15,7 @@ from labkit.cli.sessions import Workers
 from labkit.errors import DataError
 
 if TYPE_CHECKING:
-    from labkit.edges.find import Box
+    from labkit.edges.found_edges import Box
     from labkit.edges.measure import Scene
     from labkit.edges.outcome import EdgesOutcome
     from labkit.uncertain import Uncertain

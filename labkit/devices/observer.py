@@ -7,7 +7,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from labkit.devices.operator import AnswerPage
 from labkit.finder.preview import Look
-from labkit.photographs.photograph import Mosaic
+from labkit.photographs.photograph import Photograph
 from labkit.types import FrameKind
 
 
@@ -26,7 +26,7 @@ class Observer(Protocol):
         name: str,
         kind: FrameKind,
         range_mm: float | None,
-        mosaic: Mosaic,
+        mosaic: Photograph,
         done: int,
         total: int,
     ) -> None:

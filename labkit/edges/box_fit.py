@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from labkit.edges.boxes import ChannelFrame, Place
 from labkit.edges.camera import Camera
 from labkit.edges.esfr import Esfr, Plane, esfr
 from labkit.edges.joint import EXACTLY, ROUGHLY, EdgeFit, EdgeProblem
-from labkit.edges.photographs import Photograph, Place, region_of, samples_by_plane
 from labkit.edges.profile import sides_of
 from labkit.edges.ranges import Side
 from labkit.edges.region import Region
@@ -68,23 +69,16 @@ class BoxFit:
     iso_problem: str = ""
 
 
-def box_task(photographs: list[Photograph], camera: Camera, place: Place) -> BoxTask:
-    """Of one box in all frames. Raises DataError where there is too little to fit."""
-    regions = tuple(
-        region_of(of, camera.channel, place, j) for j, of in enumerate(photographs)
-    )
+def box_task(frames: Sequence[ChannelFrame], camera: Camera, place: Place) -> BoxTask:
+    """Return the task of one box in all frames. Raises DataError for too few pixels."""
+    regions = tuple(of.region(place, j) for j, of in enumerate(frames))
+    planes, problem = tuple[Plane, ...](), ""
     try:
-        planes, problem = tuple(samples_by_plane(photographs[0], camera.channel, place)), ""
+        planes = tuple(frames[0].planes(place))
     except DataError as error:
-        planes, problem = (), str(error)
-    return BoxTask(
-        place,
-        camera,
-        regions,
-        photographs[0].rounding_variance(camera.channel, place),
-        planes,
-        problem,
-    )
+        problem = str(error)
+    rounding = float(np.mean(frames[0].rounding[place.slices]))
+    return BoxTask(place, camera, regions, rounding, planes, problem)
 
 
 def fit_box(task: BoxTask) -> BoxFit:

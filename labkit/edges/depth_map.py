@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from labkit.edges.find import Box
+from labkit.edges.found_edges import Box
 from labkit.edges.outcome import EdgesOutcome, MeasuredEdge
 from labkit.figure_style import INK, SOFT, WIDTH_IN
 from labkit.types import Floats

@@ -10,9 +10,10 @@ import numpy as np
 
 from labkit.analysis.measured_camera import check_same_camera
 from labkit.edges.box_fit import BoxFit, BoxTask, box_task, fit_box
+from labkit.edges.boxes import ChannelFrame, Place, checked_box, read_frames
 from labkit.edges.camera import Camera, camera_of, focus_law
 from labkit.edges.esfr import Esfr
-from labkit.edges.find import Box
+from labkit.edges.found_edges import Box
 from labkit.edges.joint import EdgeFit
 from labkit.edges.one_range import contradicting
 from labkit.edges.outcome import (
@@ -22,18 +23,12 @@ from labkit.edges.outcome import (
     RejectedEdge,
     box_words,
 )
-from labkit.edges.photographs import (
-    Photograph,
-    Place,
-    checked_box,
-    find_places,
-    read_all,
-)
 from labkit.edges.ranges import AS_LIKELY, EdgeRange, FocusLaw, edge_range
 from labkit.edges.response import fitted_response
 from labkit.edges.standing import Standing, correlation, standings
 from labkit.errors import DataError
 from labkit.execute import Workers, default_workers
+from labkit.photographs.photograph import Photograph
 from labkit.plan import Plan, leading_channel
 from labkit.results import Results
 from labkit.types import Floats, Progress, no_progress
@@ -70,12 +65,12 @@ def measure_edges(
 
     Raises RawError, DataError for frames that cannot be used; a box that gives no edge is in `EdgesOutcome.rejected`.
     """
-    photographs = read_all(scene.images, scene.plan)
+    photographs = read_frames(scene.images, scene.plan)
     names = _channels(photographs[0], scene)
     law, warnings = _law(photographs[0], scene, names)
-    places, rejected = _places(photographs[0], names, scene.boxes, scene.most)
+    places, rejected = _places(photographs[0], names, scene)
     focused = None if law is None else float(np.mean(law.focus_mm))
-    white = photographs[0].white
+    white = photographs[0].full_light
     cameras = {
         name: camera_of(scene.plan, name, scene.results, white, focused) for name in names
     }
@@ -109,9 +104,9 @@ def _law(
     photograph: Photograph, scene: Scene, names: tuple[str, ...]
 ) -> tuple[FocusLaw | None, tuple[str, ...]]:
     """The lens's law, where something says what it is focused at; and warnings. Raises DataError for another camera's PSF."""
-    warnings = [note.text for note in photograph.mosaic.notes]
+    warnings = [note.text for note in photograph.notes]
     if scene.results is not None:
-        camera = photograph.mosaic.camera
+        camera = photograph.camera
         warnings += check_same_camera(
             scene.results, scene.plan, names, camera, force=scene.force
         )
@@ -135,21 +130,20 @@ def _channels(photograph: Photograph, scene: Scene) -> tuple[str, ...]:
 
 
 def _places(
-    photograph: Photograph, names: Sequence[str], boxes: Sequence[Box], most: int
+    photograph: Photograph, names: Sequence[str], scene: Scene
 ) -> tuple[list[Place], list[RejectedEdge]]:
-    """Boxes that can be used, and those that cannot; or edges found. Raises DataError where none is."""
-    if not boxes:
-        places = find_places(photograph, leading_channel(names), most)
+    """Return usable boxes and the others, or found edges. Raises DataError if none is found."""
+    if not scene.boxes:
+        channel = ChannelFrame.of(photograph, leading_channel(names))
+        places = channel.find_places(scene.most)
         if not places:
             raise DataError(
-                f"{photograph.path}: no straight edge between two even sides was found; give one with --box"
+                f"{scene.images[0]}: no straight edge between two even sides was found; give one with --box"
             )
         return places, []
-    problems = [
-        (box, checked_box(box, photograph.mosaic.shape)) for box in dict.fromkeys(boxes)
-    ]
-    rejected = [RejectedEdge(box, why) for box, why in problems if why is not None]
-    return [Place(box) for box, why in problems if why is None], rejected
+    problems = {box: checked_box(box, photograph.shape) for box in scene.boxes}
+    rejected = [RejectedEdge(box, why) for box, why in problems.items() if why is not None]
+    return [Place(box) for box, why in problems.items() if why is None], rejected
 
 
 def _fitted(
@@ -162,10 +156,11 @@ def _fitted(
     """Fits of each box by channel, and the boxes that gave none: those of which most channels gave none."""
     tasks: list[BoxTask] = []
     why: dict[Place, list[str]] = {place: [] for place in places}
+    frames = {name: [ChannelFrame.of(of, name) for of in photographs] for name in cameras}
     for place in places:
         for name, camera in cameras.items():
             try:
-                tasks.append(box_task(photographs, camera, place))
+                tasks.append(box_task(frames[name], camera, place))
             except DataError as error:
                 why[place].append(f"{name}: {error}")
     fits: dict[Place, dict[str, BoxFit]] = {place: {} for place in places}

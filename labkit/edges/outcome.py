@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from labkit.edges.esfr import Esfr
-from labkit.edges.find import Box
+from labkit.edges.found_edges import Box
 from labkit.edges.response import FittedResponse
 from labkit.plan import leading_channel
 from labkit.types import Floats

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labkit.edges.box_fit import BoxFit, fit_box
+from labkit.edges.boxes import Place
 from labkit.edges.joint import EdgeFit, EdgeProblem, LensPrior
 from labkit.edges.one_range import fit_together
-from labkit.edges.photographs import Place
 from labkit.edges.profile import near_focus, side_of
 from labkit.edges.ranges import Side
 from labkit.edges.region import Region

@@ -13,7 +13,7 @@ from labkit.errors import TargetError
 from labkit.figure_style import png, styled
 from labkit.files import write_atomically, writing
 from labkit.finder.find_target import grey_image
-from labkit.photographs.decoding import read_raw
+from labkit.photographs.decoding import read_photograph
 from labkit.plan import Plan
 from labkit.types import Floats
 
@@ -35,10 +35,10 @@ def write_outcome(
 
 
 def _grey(image: Path, plan: Plan) -> Floats:
-    mosaic = read_raw(image, plan.sensor)
-    counts = mosaic.counts - mosaic.black_map()
+    mosaic = read_photograph(image, plan.sensor)
+    counts = mosaic.light
     try:
         return grey_image(counts, mosaic.pattern)
     except TargetError:  # nearly even
-        white = mosaic.white - float(np.mean(mosaic.black))
+        white = mosaic.full_light
         return np.asarray(counts[: mosaic.shape[0], : mosaic.shape[1]] / white)

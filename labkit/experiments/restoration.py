@@ -20,7 +20,7 @@ from labkit.experiments.runner import Claim, Outcome, Setting, all_answers
 from labkit.figure_style import panels
 from labkit.imaging.optics import Optics
 from labkit.restoration.colours import colour_coupling
-from labkit.restoration.job import Colour, Job, Photograph
+from labkit.restoration.job import Colour, Exposure, Job
 from labkit.restoration.registration import refined, registered
 from labkit.restoration.tiles import restore_job
 from labkit.types import Floats
@@ -151,7 +151,7 @@ def job_of(
         for row, column in lens.places:
             used[row::2, column::2] = True
     places = [place for lens in lenses for place in lens.places]
-    shots = [Photograph(counts, used, np.ones(counts.shape)) for counts in frames]
+    shots = [Exposure(counts, used, np.ones(counts.shape)) for counts in frames]
     shots = [
         shots[0],
         *(

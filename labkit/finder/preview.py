@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from labkit.photographs.photograph import Mosaic
+from labkit.photographs.photograph import Photograph
 from labkit.plan.sensor import IN_COLOURS
 from labkit.types import Floats
 
@@ -27,13 +27,13 @@ class Look:
 
     name: str
     range_mm: float | None
-    mosaic: Mosaic
+    mosaic: Photograph
     corners_px: Floats | None = None
     edge_px: float | None = None
     note: str = ""
 
 
-def jpeg(mosaic: Mosaic, corners_px: Floats | None = None) -> bytes:
+def jpeg(mosaic: Photograph, corners_px: Floats | None = None) -> bytes:
     """Return a JPEG at most 900 pixels wide; patches with a clipped pixel are red, a target is outlined."""
     level, full = _cells(mosaic)
     scale = min(1.0, PREVIEW_PX / level.shape[1])
@@ -62,7 +62,7 @@ def _outline(picture: NDArray[np.uint8], corners: Floats) -> None:
         cv2.polylines(picture, [points], True, colour, thickness, cv2.LINE_AA, shift)
 
 
-def _cells(mosaic: Mosaic) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _cells(mosaic: Photograph) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return (rows/2, cols/2) light, 0 black to 1 white, and the saturated share, of 2×2 pixels each."""
     light = (mosaic.counts - np.float32(mosaic.black.mean())) / np.float32(
         mosaic.white - mosaic.black.mean()
@@ -71,7 +71,7 @@ def _cells(mosaic: Mosaic) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     return _halved(light.astype(np.float32), mosaic), _halved(full, mosaic)
 
 
-def _halved(values: NDArray[np.float32], mosaic: Mosaic) -> NDArray[np.float32]:
+def _halved(values: NDArray[np.float32], mosaic: Photograph) -> NDArray[np.float32]:
     if mosaic.pattern == IN_COLOURS:
         values = values.reshape(values.shape[0], -1, len(IN_COLOURS[0])).mean(axis=2)
     rows, cols = (size // 2 * 2 for size in values.shape)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from labkit.errors import TargetError
 from labkit.finder.find_target import grey_image
-from labkit.photographs.photograph import Mosaic
+from labkit.photographs.photograph import Photograph
 from labkit.target import Target
 from labkit.types import Counts, Floats
 
@@ -30,14 +30,14 @@ WORKING_SIDE = 500
 """Pixels across the target at most when the blur is measured; a blur that matters is wide in a larger picture too."""
 
 
-def sharpest_edge_px(mosaic: Mosaic) -> float | None:
+def sharpest_edge_px(mosaic: Photograph) -> float | None:
     """Return edge_px of the lit part of a photograph; None for a nearly even image, such as a flat."""
     (top, bottom), (left, right) = _lit_part(mosaic.counts)
     spare = max(0, bottom - top - MOST_ROWS) // 4 * 2
     top, bottom = top + spare, bottom - spare
     part = replace(mosaic, counts=mosaic.counts[top:bottom, left:right])
     try:
-        return edge_px(grey_image(part.counts - part.black_map(), part.pattern))
+        return edge_px(grey_image(part.light, part.pattern))
     except TargetError:
         return None
 

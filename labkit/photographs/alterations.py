@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from labkit.photographs.photograph import Mosaic
+from labkit.photographs.photograph import Photograph
 from labkit.plan.sensor import IN_COLOURS, MONO
 from labkit.types import Counts, Floats
 
@@ -66,13 +66,11 @@ class Noise:
     periodic: float
 
 
-def alterations(mosaic: Mosaic) -> Alterations:
+def alterations(mosaic: Photograph) -> Alterations:
     """What a program has done to a picture. A mosaic was never altered: nothing is looked for there."""
     if mosaic.pattern not in (MONO, IN_COLOURS):
         return Alterations()
-    plane = mosaic.part(
-        "G", (slice(0, None), slice(0, None))
-    )  # green is interpolated least
+    plane = mosaic.part("G")  # green is interpolated least
     noise, overshoot = noise_of(plane), edge_overshoot(plane.counts)
     notes: list[str] = []
     if noise is not None and max(noise.upper) < (
@@ -108,7 +106,7 @@ def alterations(mosaic: Mosaic) -> Alterations:
     return Alterations(None, tuple(notes))
 
 
-def noise_of(mosaic: Mosaic) -> Noise | None:
+def noise_of(mosaic: Photograph) -> Noise | None:
     """Of a picture of one colour; None where its noise cannot be seen beside structure and rounding."""
     plane = mosaic.counts
     if min(plane.shape) < 2 * TILE_PX:
@@ -147,7 +145,7 @@ def edge_overshoot(plane: ArrayLike) -> float:
     return max(_overshoot_along_rows(picture), _overshoot_along_rows(picture.T))
 
 
-def _rounding(mosaic: Mosaic, level: Floats) -> Floats:
+def _rounding(mosaic: Photograph, level: Floats) -> Floats:
     """(tiles,) variance of rounding at those levels."""
     return (
         np.full(level.shape, 1 / 12)

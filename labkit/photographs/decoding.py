@@ -14,14 +14,18 @@ import numpy as np
 from labkit.apart import run_apart
 from labkit.errors import InputError, RawError
 from labkit.photographs.container import Container, recognise
-from labkit.photographs.photograph import Mosaic
+from labkit.photographs.photograph import Photograph
 from labkit.photographs.picture_file import Numbers
-from labkit.photographs.processed_picture import is_processed, processed_mosaic, read_file
+from labkit.photographs.processed_picture import (
+    is_processed,
+    processed_photograph,
+    read_file,
+)
 from labkit.plan import Sensor
 from labkit.plan.sensor import pattern_of
 
 
-def read_raw(path: Path, sensor: Sensor) -> Mosaic:
+def read_photograph(path: Path, sensor: Sensor) -> Photograph:
     """The mosaic in a file.
 
     sensor: what the file does not state. Raises RawError, naming file and cause, for a file that is missing, truncated,
@@ -33,7 +37,7 @@ def read_raw(path: Path, sensor: Sensor) -> Mosaic:
         raise RawError(f"{path}: {error}") from error.__cause__
 
 
-def _read(path: Path, sensor: Sensor) -> Mosaic:
+def _read(path: Path, sensor: Sensor) -> Photograph:
     mosaic = (
         _read_recognised(path, sensor)
         if sensor.headerless_px is None
@@ -43,7 +47,7 @@ def _read(path: Path, sensor: Sensor) -> Mosaic:
     return mosaic
 
 
-def _read_recognised(path: Path, sensor: Sensor) -> Mosaic:
+def _read_recognised(path: Path, sensor: Sensor) -> Photograph:
     container = recognise(path)
     if container.kind != "raw":
         return _read_numbers(path, container, sensor)
@@ -54,7 +58,7 @@ def _read_recognised(path: Path, sensor: Sensor) -> Mosaic:
     return read_libraw(path, container)
 
 
-def _read_headerless(path: Path, sensor: Sensor) -> Mosaic:
+def _read_headerless(path: Path, sensor: Sensor) -> Photograph:
     """A file of bare 16-bit numbers, the lower byte first, row by row: nothing in it says what it is, so the plan must."""
     assert sensor.headerless_px is not None
     (rows, cols), size = (
@@ -71,16 +75,16 @@ def _read_headerless(path: Path, sensor: Sensor) -> Mosaic:
     )
 
 
-def _read_numbers(path: Path, container: Container, sensor: Sensor) -> Mosaic:
-    picture, coarse = read_file(path, container)
+def _read_numbers(path: Path, container: Container, sensor: Sensor) -> Photograph:
+    picture = read_file(path)
     if is_processed(picture, container, sensor):
-        return processed_mosaic(path, container, picture, coarse, sensor)
+        return processed_photograph(path, container, picture, sensor)
     if picture.bits not in (8, 16):
         raise RawError(f"holds {picture.bits} bit numbers: allowed are 8 and 16 bit")
     return _bare_mosaic(picture.numbers, container, sensor)
 
 
-def _bare_mosaic(counts: Numbers, container: Container, sensor: Sensor) -> Mosaic:
+def _bare_mosaic(counts: Numbers, container: Container, sensor: Sensor) -> Photograph:
     """Of numbers, with what the plan states of them. Raises RawError where it does not."""
     needed = {
         "cfa_pattern": '"RGGB" or "mono"',
@@ -101,7 +105,7 @@ def _bare_mosaic(counts: Numbers, container: Container, sensor: Sensor) -> Mosai
         raise RawError(
             f"holds numbers up to {full_scale}, but sensor.white_level = {sensor.white_level:g} in the plan"
         )
-    return Mosaic(
+    return Photograph(
         counts=counts.astype(np.uint16),
         black=np.full((2, 2), sensor.black_level),
         white=sensor.white_level,
@@ -112,7 +116,7 @@ def _bare_mosaic(counts: Numbers, container: Container, sensor: Sensor) -> Mosai
     )
 
 
-def _refuse_contradiction(mosaic: Mosaic, sensor: Sensor) -> None:
+def _refuse_contradiction(mosaic: Photograph, sensor: Sensor) -> None:
     """Raise RawError where the file and the plan both state something, and not the same."""
     file = {
         "cfa_pattern": {mosaic.cfa},

@@ -15,7 +15,6 @@ from PIL.ExifTags import IFD, Base
 
 from labkit.apart import run_apart
 from labkit.errors import InputError
-from labkit.photographs.captured_stderr import captured_stderr
 from labkit.photographs.jpeg import JPEG, read_header
 from labkit.photographs.picture_file import PNG, TIFF, png_chunks
 
@@ -113,7 +112,7 @@ def _of_raw(path: Path) -> Exif:
     """Of raw files that are no TIFF, as LibRaw has it."""
     import rawpy
 
-    from labkit.photographs.libraw import opened_raw
+    from labkit.photographs.libraw import captured_stderr, opened_raw
 
     with captured_stderr():
         try:

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import scipy.fft
 
-from labkit.photographs.photograph import Cut, Mosaic
+from labkit.photographs.photograph import Cut, Photograph
 from labkit.types import Counts, Floats, Floats32, FrameKind
 
 SATURATED_SHARE = 0.2
@@ -35,7 +35,7 @@ TILES, TILE_PX = 16, 16
 """Noise is looked for in up to 16 x 16 tiles, none smaller than this: a target need not fill all of them."""
 
 
-def difference(mosaic: Mosaic, first: Mosaic) -> str | None:
+def difference(mosaic: Photograph, first: Photograph) -> str | None:
     """How a photograph's sensor differs from that of the first one of its session; None if it does not."""
     size, first_size = ("×".join(map(str, m.shape)) for m in (mosaic, first))
     tone, first_tone = ("none" if m.tone is None else m.tone.name for m in (mosaic, first))
@@ -52,7 +52,7 @@ def difference(mosaic: Mosaic, first: Mosaic) -> str | None:
 
 
 def exposure_problem(
-    mosaic: Mosaic, kind: FrameKind, channels: Iterable[str]
+    mosaic: Photograph, kind: FrameKind, channels: Iterable[str]
 ) -> str | None:
     """Why a frame of that kind cannot be used, or None. Raises RawError for a channel that it lacks."""
     for name in channels:
@@ -62,7 +62,7 @@ def exposure_problem(
     return None
 
 
-def _plane_problem(mosaic: Mosaic, kind: FrameKind, where: Cut) -> str | None:
+def _plane_problem(mosaic: Photograph, kind: FrameKind, where: Cut) -> str | None:
     plane, black, white = (
         np.ascontiguousarray(mosaic.counts[where]),
         mosaic.black_of(where),

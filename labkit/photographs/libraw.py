@@ -1,7 +1,9 @@
-"""LibRaw, given a file that Python has opened: it would not find one whose path is no UTF-8."""
+"""LibRaw, given a file that Python has opened: LibRaw cannot open a path that is no UTF-8."""
 
 from __future__ import annotations
 
+import os
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,77 +12,89 @@ import numpy as np
 import rawpy
 
 from labkit.errors import RawError
-from labkit.photographs.captured_stderr import captured_stderr
 from labkit.photographs.container import Container
-from labkit.photographs.photograph import Mosaic
+from labkit.photographs.photograph import Photograph
 from labkit.plan.sensor import MONO
 
 DAMAGE = ("data corrupted", "Unexpected end of file")
-"""What LibRaw prints of a file that it decodes all the same."""
+"""What LibRaw prints about a damaged file that it decodes all the same."""
 
 
 @contextmanager
 def opened_raw(path: Path) -> Iterator[rawpy.RawPy]:
-    """A raw file, opened. Raises rawpy.LibRawError, OSError."""
+    """Open a raw file. Raises rawpy.LibRawError, OSError."""
     with path.open("rb") as file, rawpy.imread(file) as raw:
         yield raw
 
 
-def read_libraw(path: Path, container: Container) -> Mosaic:
-    """The mosaic in a camera's raw file. Raises RawError for one that is damaged, or holds no mosaic."""
-    with captured_stderr() as chatter:
+@contextmanager
+def captured_stderr() -> Iterator[list[str]]:
+    """Collect lines written to file descriptor 2 into the list, which is filled at the end.
+
+    LibRaw reports damaged data only there. This holds for the whole process: keep it short.
+    """
+    lines: list[str] = []
+    kept = os.dup(2)
+    # in memory where the system has that: TMPDIR may be full
+    with (
+        open(os.memfd_create("stderr"), "w+b")
+        if hasattr(os, "memfd_create")
+        else tempfile.TemporaryFile() as sink
+    ):
+        os.dup2(sink.fileno(), 2)
+        try:
+            yield lines
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+            sink.seek(0)
+            lines += sink.read().decode(errors="replace").splitlines()
+
+
+def read_libraw(path: Path, container: Container) -> Photograph:
+    """Decode a camera's raw file. Raises RawError for a damaged file or one without a mosaic."""
+    with captured_stderr() as printed:
         try:
             with opened_raw(path) as raw:
-                mosaic = _mosaic_of(raw, container)
+                photograph = _decoded(raw, container)
         except rawpy.LibRawError as error:
-            reason = (
-                error.args[0].decode()
-                if error.args and isinstance(error.args[0], bytes)
-                else str(error)
-            )
-            cause = (
-                "is truncated or damaged"
-                if isinstance(error, rawpy.LibRawIOError)
-                else "is no raw photograph"
-            )
-            raise RawError(f"{cause} ({reason})") from error
-        except NotImplementedError as error:  # rawpy's, of a filter array that cannot be
+            reason = error.args[0] if error.args else ""
+            words = reason.decode() if isinstance(reason, bytes) else str(error)
+            damaged = isinstance(error, rawpy.LibRawIOError)
+            cause = "is truncated or damaged" if damaged else "is no raw photograph"
+            raise RawError(f"{cause} ({words})") from error
+        except NotImplementedError as error:  # rawpy's, of an impossible filter array
             raise RawError(f"is no raw photograph ({error})") from error
-    if any(words in line for words in DAMAGE for line in chatter):
-        raise RawError(f"is damaged ({chatter[0].rpartition(': ')[2].strip()})")
-    return mosaic
+    if any(words in line for words in DAMAGE for line in printed):
+        raise RawError(f"is damaged ({printed[0].rpartition(': ')[2].strip()})")
+    return photograph
 
 
-def _mosaic_of(raw: rawpy.RawPy, container: Container) -> Mosaic:
-    if (
-        raw.raw_type != rawpy.RawType.Flat
-        or raw.raw_image_visible is None
-        or raw.raw_image_visible.ndim != 2
-    ):
+def _decoded(raw: rawpy.RawPy, container: Container) -> Photograph:
+    image = raw.raw_image_visible
+    if raw.raw_type != rawpy.RawType.Flat or image is None or image.ndim != 2:
         raise RawError(
             "holds colours already mixed (demosaiced or layered); labkit needs the mosaic itself"
         )
-    counts = np.array(raw.raw_image_visible)
-    if counts.dtype != np.uint16:
-        raise RawError(f"holds {counts.dtype} numbers; labkit needs 8 to 16 bit integers")
+    if image.dtype != np.uint16:
+        raise RawError(f"holds {image.dtype} numbers; labkit needs 8 to 16 bit integers")
     levels = np.asarray(raw.black_level_per_channel, dtype=np.float64)
-    pattern: tuple[str, ...]
-    if raw.num_colors == 1:
-        pattern, black = MONO, np.full((2, 2), levels[0])
-    elif raw.raw_pattern is not None and raw.raw_pattern.shape == (2, 2):
+    pattern: tuple[str, ...] = MONO
+    black = np.full((2, 2), levels[0])
+    if raw.num_colors != 1:
+        if raw.raw_pattern is None or raw.raw_pattern.shape != (2, 2):
+            raise RawError(
+                "has a colour filter array that does not repeat every 2x2 pixels; labkit cannot use it yet"
+            )
         colours = raw.color_desc.decode()
         pattern = tuple("".join(colours[index] for index in row) for row in raw.raw_pattern)
         black = levels[raw.raw_pattern]
-    else:
-        raise RawError(
-            "has a colour filter array that does not repeat every 2x2 pixels; labkit cannot use it yet"
-        )
-    return Mosaic(
-        counts=counts,
-        black=black,
-        white=float(raw.white_level),
-        pattern=pattern,
-        camera=container.camera,
-        exposure_s=raw.other.shutter_speed or container.exposure_s,
-        iso=int(raw.other.iso_speed) or container.iso,
+    return Photograph(
+        np.array(image),
+        black,
+        float(raw.white_level),
+        pattern,
+        container.camera,
+        raw.other.shutter_speed or container.exposure_s,
+        int(raw.other.iso_speed) or container.iso,
     )

@@ -1,7 +1,7 @@
-"""A photograph as a mosaic: raw numbers, black and white levels, and where the colours lie. Nothing is demosaiced.
+"""A decoded photograph: counts, black and white levels, and the places of its colours. Nothing is demosaiced.
 
-A picture that was demosaiced by others has all its colours at every pixel: one beside the other, as in its file, they are a
-mosaic too, whose cell is one row high and three columns wide and stands for one pixel.
+A picture that another program demosaiced has all colours at every pixel. Side by side, as in its file, they are a mosaic
+too, whose cell of one row and three columns stands for one pixel.
 """
 
 from __future__ import annotations
@@ -9,29 +9,39 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from labkit.findings import Finding
 from labkit.photographs.tone_curve import ToneCurve
 from labkit.plan.sensor import IN_COLOURS, MONO, ChannelPixels, channel_pixels, places_of
-from labkit.types import Counts
+from labkit.types import Bools, Counts, Floats
 
 Cut = tuple[slice, slice]
 """Rows and columns of a frame, in pixels."""
 
+WHOLE: Cut = (slice(0, None), slice(0, None))
+
+SATURATION_MARGIN = 0.01
+"""Distance below the white level, relative to white less black, within which noise is clipped."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Mosaic:
-    """One photograph as the sensor saw it, in the sensor's orientation whatever the camera's.
+class Photograph:
+    """A photograph as the sensor recorded it, in the sensor's orientation.
 
-    counts: (rows, cols) numbers as in the file, (rows, 3 cols) of a picture in colours; black: (2, 2) level of each place of
-    the 2x2 cell, for mono too, (1, 3) in colours; white: the count that means saturated; pattern: the colours of the
-    cell's rows, ("RG", "GB"), or ("M",) for mono, or ("RGB",) for a picture in colours. tone: what was undone in counts of a
-    processed picture, None where they are as in the file; notes: what to know of how they came about; compressed: as JPEG.
+    Attributes
+    ----------
+    counts : (rows, cols) numbers as in the file; (rows, 3 cols) of a picture in colours
+    black : black level of each place of the cell: (2, 2), for mono too; (1, 3) in colours
+    white : count of saturation
+    pattern : colours of the cell's rows: ("RG", "GB"); ("M",) for mono; ("RGB",) for a picture in colours
+    camera, exposure_s, iso : as the file states them
+    tone : tone curve that was undone in `counts`; None for counts as in the file
+    notes : findings about the origin of the counts
+    compressed : whether the file is a JPEG
     """
 
     counts: Counts
-    black: NDArray[np.float64]
+    black: Floats
     white: float
     pattern: tuple[str, ...]
     camera: str = ""
@@ -52,67 +62,89 @@ class Mosaic:
         """The pattern as a plan writes it: "RGGB", "mono" or "RGB"."""
         return "mono" if self.pattern == MONO else "".join(self.pattern)
 
-    def black_map(self) -> NDArray[np.float64]:
-        """(rows, cols) black level of each pixel."""
+    @property
+    def black_map(self) -> Floats:
+        """(rows, cols) black level of each pixel, counts."""
         (rows, cols), (high, wide) = self.counts.shape, self.black.shape
         return np.tile(self.black, (-(-rows // high), -(-cols // wide)))[:rows, :cols]
 
-    def channel_mask(self, name: str) -> NDArray[np.bool_]:
-        """Of counts' shape, True where the filter is of that colour; everywhere on a mono sensor.
+    @property
+    def light(self) -> Floats:
+        """(rows, cols) counts above black."""
+        return self.counts - self.black_map
 
-        Raises RawError for a colour that the filter array lacks.
-        """
-        mask = np.zeros(self.counts.shape, dtype=np.bool_)
-        for plane in self.planes(name):
-            mask[plane] = True
-        return mask
+    @property
+    def full_light(self) -> float:
+        """Mean counts above black at saturation."""
+        return self.full_light
+
+    @property
+    def saturated(self) -> Bools:
+        """(rows, cols) True where a count is at the white level, or so near that its noise is clipped."""
+        range_ = self.white - self.black_map
+        return np.asarray(self.counts >= self.white - SATURATION_MARGIN * range_)
+
+    @property
+    def rounding_variance(self) -> Floats:
+        """(rows, cols) counts² that the steps of a tone curve add to the noise; of a photograph of one colour."""
+        if self.tone is None:
+            return np.zeros(self.counts.shape)
+        return self.tone.rounding_variance(self.counts)
 
     @property
     def every_plane(self) -> tuple[Cut, ...]:
-        """Slices of counts, one for each place of the filter array's cell; a single one on a mono sensor."""
+        """Slices of counts, one for each place of the filter array's cell."""
         high, wide = len(self.pattern), len(self.pattern[0])
-        return tuple(self._plane(row, col) for row in range(high) for col in range(wide))
+        places = ((row, col) for row in range(high) for col in range(wide))
+        return tuple(self._plane(*place) for place in places)
 
     def planes(self, name: str) -> tuple[Cut, ...]:
-        """Slices of counts, one for each plane of a colour: two for G of a Bayer cell, one for everything on a mono sensor."""
-        return tuple(self._plane(row, col) for row, col in places_of(self.pattern, name))
+        """Return slices of counts, one for each plane of a colour; RawError for a colour that the filter array lacks."""
+        return tuple(self._plane(*place) for place in places_of(self.pattern, name))
 
     def _plane(self, row: int, col: int) -> Cut:
         high, wide = len(self.pattern), len(self.pattern[0])
         return slice(row, None, high), slice(col, None, wide)
 
+    def channel_mask(self, name: str) -> Bools:
+        """Return an array of the shape of `counts`, True for pixels of a colour; RawError for a colour that it lacks."""
+        mask = np.zeros(self.counts.shape, dtype=np.bool_)
+        for plane in self.planes(name):
+            mask[plane] = True
+        return mask
+
     def black_of(self, plane: Cut) -> float:
-        """Black level of one of the `planes`, counts."""
+        """Return the black level of one of the `planes`, counts."""
         rows, columns = plane
         return float(self.black[rows.start, columns.start])
 
+    def has(self, name: str) -> bool:
+        """Whether the filter array has a colour."""
+        any_colour = self.pattern in (MONO, IN_COLOURS)
+        return any_colour or any(name in row for row in self.pattern)
+
     def pixels(self, name: str) -> ChannelPixels:
-        """The pixels of a channel, in pixels of the photograph. Raises RawError for a colour that the filter array lacks."""
+        """Return the pixels of a channel; RawError for a colour that the filter array lacks."""
         return channel_pixels(self.pattern, name)
 
     def where(self, name: str, cut: Cut) -> Cut:
-        """Slices of counts for a colour in a cut of pixels: of a picture in colours its plane, else all of the cut."""
+        """Return slices of counts for a colour in a cut of pixels: its plane of a picture in colours, else the cut."""
         if self.pattern != IN_COLOURS:
             return cut
-        (_, col), (rows, cols), wide = (
-            places_of(self.pattern, name)[0],
-            cut,
-            len(IN_COLOURS[0]),
-        )
+        rows, cols = cut
+        ((_, col),), wide = places_of(self.pattern, name), len(IN_COLOURS[0])
         stop = None if cols.stop is None else wide * cols.stop
         return rows, slice(wide * (cols.start or 0) + col, stop, wide)
 
-    def part(self, name: str, cut: Cut) -> Mosaic:
-        """A cut of pixels, from an even row and column on; of a picture in colours only that colour, as mono.
+    def part(self, name: str, cut: Cut = WHOLE) -> Photograph:
+        """Return a cut of pixels, from an even row and column on; of a picture in colours only that colour, as mono.
 
         Raises RawError for a colour that the filter array lacks.
         """
         counts = self.counts[self.where(name, cut)]
         if self.pattern != IN_COLOURS:
             return replace(self, counts=counts)
-        plane = places_of(self.pattern, name)[0][1]
-        black, tone = (
-            np.full((2, 2), self.black[0, plane]),
-            self.tone.of(plane) if self.tone else None,
-        )
+        ((_, plane),) = places_of(self.pattern, name)
+        black = np.full((2, 2), self.black[0, plane])
+        tone = self.tone.of(plane) if self.tone else None
         return replace(self, counts=counts, black=black, pattern=MONO, tone=tone)

@@ -1,16 +1,15 @@
-"""Pictures in PNG, PGM and TIFF files: the numbers as they are stored.
+"""Pictures in PNG, PGM, TIFF and JPEG files: the numbers as they are stored.
 
-The format is recognised by the first bytes, whatever the name. Declared sizes are checked first. Uncompressed numbers are read
-here; compressed ones are decoded in a process of its own (`picture_decoder`), with limits of memory and time.
+The format is recognised by the first bytes, whatever the name. Declared sizes are checked before anything is decoded, and
+all is read in the process with limits of memory and time of `labkit.apart`: a damaged file ends in a message, quickly.
 """
 
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 import zlib
 from dataclasses import dataclass
+from io import BytesIO
 from math import prod
 from pathlib import Path
 from typing import Literal
@@ -21,7 +20,7 @@ from numpy.typing import NDArray
 
 from labkit.apart import run_apart
 from labkit.errors import InputError, shown
-from labkit.photographs import picture_decoder as decoder
+from labkit.photographs.jpeg import DAMAGED, JPEG, read_header
 
 Numbers = NDArray[np.unsignedinteger]
 """Of 8 or 16 bit."""
@@ -33,20 +32,6 @@ MOST_PIXELS = 2**28
 
 MOST_PER_SIDE = 2**16
 
-DECODER_MEMORY_BYTES = 2**29
-"""Allowed to the decoder beside four times what the picture itself takes; Python and Pillow take 0.1 GB of it."""
-
-OPENCV = "OpenCV"
-"""What decodes colours of 16 bit; its libraries take more memory."""
-
-OPENCV_MEMORY_BYTES = 3 * 2**30
-
-DECODER_SECONDS = 5
-"""Allowed to the decoder beside a second for each 2 million pixels; it takes 20 to 50 ms for a million."""
-
-UNDER_LOAD = 12
-"""The decoder's seconds are of its processor; by the clock they may be this many times as long."""
-
 PNG = b"\x89PNG\r\n\x1a\n"
 TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 SPACE = rb"(?:\s|#[^\n]*\n)+"
@@ -55,7 +40,7 @@ PGM = re.compile(
 )
 
 PNG_NEEDED = (b"IHDR", b"PLTE", b"IDAT", b"IEND")
-"""Chunks that the decoder gets: texts and profiles, which may swell to any size, are left out."""
+"""Chunks that are decoded: texts and profiles may swell to any size and are left out."""
 
 ADAM7 = (
     (0, 0, 8, 8),
@@ -70,17 +55,24 @@ ADAM7 = (
 
 GREY, TRUE_COLOUR, PALETTE = 0, 2, 3
 MIN_IS_WHITE, UNCOMPRESSED = 0, 1
-DAMAGED = "is truncated or damaged"
 
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """(rows, cols) numbers, or (rows, cols, 3) of a file in colours; bits: of each, as stored;
-    white: the number of full scale."""
+    """A picture's numbers.
+
+    Attributes
+    ----------
+    numbers : (rows, cols), or (rows, cols, 3) in colours
+    bits : of each number, as stored
+    white : number of full scale
+    coarse_colours : whether colours have a lower resolution than brightness
+    """
 
     numbers: Numbers
     bits: int
     white: int
+    coarse_colours: bool = False
 
 
 def format_of(head: bytes) -> Format | None:
@@ -93,26 +85,40 @@ def format_of(head: bytes) -> Format | None:
 
 
 def read_picture(
-    path: Path, most_pixels: int = MOST_PIXELS, *, deep_colours: bool = False
+    path: Path, most_pixels: int = MOST_PIXELS, *, processed: bool = False
 ) -> Picture:
-    """The picture in a PNG, PGM or TIFF file. deep_colours: colours of 16 bit are allowed.
+    """Read the picture in a PNG, PGM or TIFF file, in the file's orientation.
 
-    Raises OSError where it cannot be read, and InputError, whose message leaves out the file's name, for one that is
-    damaged, that declares more than `most_pixels`, or that is no picture of 8 or 16 bit in grey, or of 8 bit in colours.
+    Parameters
+    ----------
+    path : the file
+    most_pixels : largest size allowed
+    processed : allow JPEG and colours of 16 bit too
+
+    Raises
+    ------
+    OSError : the file cannot be read
+    InputError : it is damaged, too large or of another kind; the message leaves out the file's name
     """
-    return run_apart(_read_picture, path, most_pixels, deep_colours=deep_colours)
+    return run_apart(_read_picture, path, most_pixels, processed=processed)
 
 
-def _read_picture(path: Path, most_pixels: int, *, deep_colours: bool) -> Picture:
+def _read_picture(path: Path, most_pixels: int, *, processed: bool) -> Picture:
     with path.open("rb") as file:
         head = file.read(len(PNG))
     match format_of(head):
         case "png":
-            return _read_png(path.read_bytes(), most_pixels, deep_colours)
+            return _read_png(path.read_bytes(), most_pixels, processed)
         case "pgm":
             return _read_pgm(path.read_bytes(), most_pixels)
         case "tiff":
-            return _read_tiff(path, most_pixels, deep_colours)
+            return _read_tiff(path, most_pixels, processed)
+    if processed and head.startswith(JPEG):
+        content = path.read_bytes()
+        header = read_header(content)
+        _check_size(header.shape, most_pixels)
+        numbers = _decoded("JPEG", content, header.shape, 8)
+        return Picture(numbers, 8, 255, header.coarse_colours)
     raise InputError("is no PNG, PGM or TIFF" if head else "is empty")
 
 
@@ -134,7 +140,7 @@ def check_strips(tiff: tifffile.TiffFile, size: int) -> None:
             )
 
 
-def check_size(shape: tuple[int, ...], most_pixels: int) -> None:
+def _check_size(shape: tuple[int, ...], most_pixels: int) -> None:
     """Raise InputError for a declared size, (rows, columns) or more, that is not allowed."""
     words = " × ".join(map(str, shape))
     if not all(1 <= side <= MOST_PER_SIDE for side in shape[:2]):
@@ -147,7 +153,7 @@ def check_size(shape: tuple[int, ...], most_pixels: int) -> None:
         )
 
 
-def _read_png(content: bytes, most_pixels: int, deep_colours: bool) -> Picture:
+def _read_png(content: bytes, most_pixels: int, processed: bool) -> Picture:
     chunks = png_chunks(content)
     header = chunks[0][1]
     cols, rows, bits, colours = (
@@ -156,18 +162,17 @@ def _read_png(content: bytes, most_pixels: int, deep_colours: bool) -> Picture:
         header[8],
         header[9],
     )
-    check_size((rows, cols), most_pixels)
+    _check_size((rows, cols), most_pixels)
     if colours not in (GREY, TRUE_COLOUR, PALETTE) or any(
         name == b"tRNS" for name, _, _ in chunks
     ):
         raise InputError("has colours or transparency that cannot be used: allowed is grey")
-    deep = colours == TRUE_COLOUR and bits == 16
-    if deep and not deep_colours:
+    if colours == TRUE_COLOUR and bits == 16 and not processed:
         raise InputError(f"has colours of {bits} bit: allowed is grey")
     _check_pixels(header, b"".join(data for name, data, _ in chunks if name == b"IDAT"))
     needed = b"".join(whole for name, _, whole in chunks if name in PNG_NEEDED)
     shape = (rows, cols) if colours == GREY else (rows, cols, 3)
-    numbers = decode(OPENCV if deep else "PNG", PNG + needed, shape, max(bits, 8))
+    numbers = _decoded("PNG", PNG + needed, shape, max(bits, 8))
     return Picture(numbers, bits, int(np.iinfo(numbers.dtype).max))
 
 
@@ -219,7 +224,7 @@ def _read_pgm(content: bytes, most_pixels: int) -> Picture:
     if not header:
         raise InputError("is a damaged PGM: its header cannot be read")
     cols, rows, most = (int(number) for number in header.groups()[1:])
-    check_size((rows, cols), most_pixels)
+    _check_size((rows, cols), most_pixels)
     if not 1 <= most <= 65535:
         raise InputError(f"has a largest number of {most}: allowed is 1 to 65535")
     dtype = np.dtype(np.uint8 if most < 256 else np.uint16)
@@ -247,17 +252,15 @@ def _plain_numbers(text: bytes, needed: int) -> NDArray[np.float64]:
     return numbers[:needed]
 
 
-def _read_tiff(path: Path, most_pixels: int, deep_colours: bool) -> Picture:
+def _read_tiff(path: Path, most_pixels: int, processed: bool) -> Picture:
     try:
         with tifffile.TiffFile(path) as tiff:
             page = tiff.pages.first
-            _check_tiff(tiff, page, most_pixels, deep_colours)
+            _check_tiff(tiff, page, most_pixels, processed)
             bits = int(page.bitspersample)
             if page.compression != UNCOMPRESSED:
-                by = OPENCV if page.ndim == 3 and bits == 16 else "TIFF"
-                return Picture(
-                    decode(by, path.read_bytes(), page.shape, bits), bits, 2**bits - 1
-                )
+                numbers = _decoded("TIFF", path.read_bytes(), page.shape, bits)
+                return Picture(numbers, bits, 2**bits - 1)
             check_strips(tiff, path.stat().st_size)
             if sum(page.databytecounts) < page.nbytes:
                 raise InputError(
@@ -273,12 +276,12 @@ def _read_tiff(path: Path, most_pixels: int, deep_colours: bool) -> Picture:
 
 
 def _check_tiff(
-    tiff: tifffile.TiffFile, page: tifffile.TiffPage, most_pixels: int, deep_colours: bool
+    tiff: tifffile.TiffFile, page: tifffile.TiffPage, most_pixels: int, processed: bool
 ) -> None:
     """Raise InputError for what a TIFF declares, as far as it is not allowed."""
     if len(page.shape) < 2:
         raise InputError(DAMAGED)
-    check_size(page.shape, most_pixels)
+    _check_size(page.shape, most_pixels)
     if page.photometric == MIN_IS_WHITE:
         raise InputError(
             "counts darkness (MinIsWhite): allowed are numbers that grow with light"
@@ -293,41 +296,31 @@ def _check_tiff(
         )
         raise InputError(f"holds {what} numbers: allowed are 8 and 16 bit integers")
     if page.shape[2:] not in ((), (3,)) or (
-        page.ndim == 3 and page.bitspersample != 8 and not deep_colours
+        page.ndim == 3 and page.bitspersample != 8 and not processed
     ):
         raise InputError(
             f"has colours, {' × '.join(map(str, page.shape))} numbers: allowed is grey"
         )
 
 
-def decode(name: str, content: bytes, shape: tuple[int, ...], bits: int) -> Numbers:
-    """The numbers of a picture that the decoder is sure to end with. Raises InputError."""
-    expected = prod(shape) * bits // 8
-    memory = (
-        (OPENCV_MEMORY_BYTES if name == OPENCV else DECODER_MEMORY_BYTES)
-        + 4 * expected
-        + 2 * len(content)
-    )
-    seconds = DECODER_SECONDS + prod(shape) // 2_000_000
-    command = [sys.executable, "-P", decoder.__file__, name, str(memory), str(seconds)]
-    try:
-        done = subprocess.run(
-            command, input=content, capture_output=True, timeout=UNDER_LOAD * seconds
-        )
-    except subprocess.TimeoutExpired:
-        raise InputError(
-            f"{DAMAGED}: it takes longer than {UNDER_LOAD * seconds} s to decode"
-        ) from None
-    if done.returncode < 0:
-        raise InputError(
-            f"{DAMAGED}: its decoder ended by signal {-done.returncode}, after {seconds} s at most"
-        )
-    if done.returncode:
-        words = done.stderr.decode(errors="replace").strip().rpartition("\n")[2]
-        raise InputError(f"{DAMAGED} ({shown(words)})")
-    mode, _, data = done.stdout.partition(b"\n")
-    dtype = np.dtype(decoder.TYPES[mode.decode()])
-    if len(data) != expected or 8 * dtype.itemsize != bits:
-        raise InputError(f"{DAMAGED}: {len(data)} of {expected} bytes came out of it")
-    decoded = np.frombuffer(data, dtype).reshape(shape)
-    return decoded.astype(np.uint8) if bits == 8 else decoded.astype(np.uint16)
+def _decoded(name: str, content: bytes, shape: tuple[int, ...], bits: int) -> Numbers:
+    """Decompress a picture of a format by its name in Pillow. Raises InputError where its numbers are of another shape."""
+    numbers: NDArray[np.generic] | None
+    if len(shape) == 3 and bits == 16:  # Pillow cuts these to 8 bit
+        import cv2
+
+        numbers = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+        numbers = None if numbers is None else numbers[..., ::-1]
+    else:
+        from PIL import Image
+
+        Image.MAX_IMAGE_PIXELS = None  # the declared size has been checked
+        try:
+            with Image.open(BytesIO(content), formats=[name]) as picture:
+                wider = {"1": "L", "P": "RGB"}.get(picture.mode, picture.mode)
+                numbers = np.asarray(picture.convert(wider))
+        except OSError as error:
+            raise InputError(f"{DAMAGED} ({shown(str(error))})") from error
+    if numbers is None or numbers.shape != shape or numbers.dtype.itemsize * 8 != bits:
+        raise InputError(f"{DAMAGED}: its pixels are other than its header states")
+    return numbers.astype(np.uint8 if bits == 8 else np.uint16)

@@ -15,8 +15,7 @@ from labkit.errors import InputError, RawError
 from labkit.findings import Finding, found
 from labkit.photographs.container import Container
 from labkit.photographs.encoding import read_encoding, srgb
-from labkit.photographs.jpeg import read_jpeg
-from labkit.photographs.photograph import Mosaic
+from labkit.photographs.photograph import Photograph
 from labkit.photographs.picture_file import Picture, read_picture
 from labkit.photographs.tone_curve import (
     FULL_COUNTS,
@@ -29,13 +28,10 @@ from labkit.plan import MeasuredTone, Sensor
 from labkit.plan.sensor import IN_COLOURS, MONO
 
 
-def read_file(path: Path, container: Container) -> tuple[Picture, bool]:
-    """The numbers in a JPEG, PNG, PGM or TIFF, and whether its colours are coarser than its brightness. Raises RawError."""
+def read_file(path: Path) -> Picture:
+    """Read the numbers in a JPEG, PNG, PGM or TIFF. Raises RawError."""
     try:
-        if container.kind == "jpeg":
-            picture, header = read_jpeg(path)
-            return picture, header.coarse_colours
-        return read_picture(path, deep_colours=True), False
+        return read_picture(path, processed=True)
     except InputError as error:
         raise RawError(str(error)) from error
     except OSError as error:
@@ -51,10 +47,10 @@ def is_processed(picture: Picture, container: Container, sensor: Sensor) -> bool
     )
 
 
-def processed_mosaic(
-    path: Path, container: Container, picture: Picture, coarse: bool, sensor: Sensor
-) -> Mosaic:
-    """A processed picture, in counts that are proportional to light. coarse: as `read_file` says.
+def processed_photograph(
+    path: Path, container: Container, picture: Picture, sensor: Sensor
+) -> Photograph:
+    """Return a processed picture in counts that are proportional to light.
 
     Raises RawError where the plan declares it raw, where nothing says what its tone curve is, or for a profile that
     cannot be used.
@@ -70,7 +66,7 @@ def processed_mosaic(
     if curve is None:
         black = sensor.black_level or 0.0
         white = sensor.white_level or float(picture.white)
-    return Mosaic(
+    return Photograph(
         counts=numbers.astype(np.uint16).reshape(numbers.shape[0], -1),
         black=np.full((1, 3) if in_colours else (2, 2), black),
         white=white,
@@ -79,7 +75,7 @@ def processed_mosaic(
         exposure_s=container.exposure_s,
         iso=container.iso,
         tone=curve,
-        notes=tuple(_notes(container, picture, coarse, curve)),
+        notes=tuple(_notes(container, picture, curve)),
         compressed=container.kind == "jpeg",
     )
 
@@ -130,7 +126,7 @@ def _curve(
 
 
 def _notes(
-    container: Container, picture: Picture, coarse: bool, curve: ToneCurve | None
+    container: Container, picture: Picture, curve: ToneCurve | None
 ) -> Iterator[Finding]:
     """What to know of how the numbers came about."""
     undone = (
@@ -144,5 +140,5 @@ def _notes(
         bits=picture.bits,
         tone_curve=undone,
     )
-    if coarse:
+    if picture.coarse_colours:
         yield found("colours-at-half-resolution")

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from labkit.errors import LabkitError
-from labkit.photographs.decoding import read_raw
+from labkit.photographs.decoding import read_photograph
 from labkit.photographs.exif import Exif, read_exif
 from labkit.report.quantities import UNKNOWN, fixed, when
 from labkit.report.table import Column, Row, Table
@@ -167,7 +167,7 @@ def _preview(path: Path | None, results: Results) -> dict[str, Any]:
     if path is None:
         return {}
     try:
-        mosaic = read_raw(path, results.plan.sensor)
+        mosaic = read_photograph(path, results.plan.sensor)
     except (LabkitError, OSError):
         return {}
     rows, cols = mosaic.shape

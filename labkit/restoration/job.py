@@ -51,7 +51,7 @@ class Colour:
 
 
 @dataclass(frozen=True, eq=False)
-class Photograph:
+class Exposure:
     """counts: (rows, columns) of all colours, black removed. used: neither clipped nor dead. light: relative illumination.
     motion: (2, 3), where what the first photograph shows at [row, column, 1] stands in this one, less [row, column], px."""
 
@@ -66,7 +66,7 @@ class Job:
     """All that a scene is to be restored from. period: pixels to a cell of the filter array; samples: of the scene to a pixel;
     guard_px: from how far beyond its frame a part of the scene is followed. coupling: as `Roughness` has it."""
 
-    photographs: tuple[Photograph, ...]
+    photographs: tuple[Exposure, ...]
     colours: tuple[Colour, ...]
     period: int
     samples: int
@@ -173,7 +173,7 @@ class Job:
 
     def _planes(
         self,
-        photograph: Photograph,
+        photograph: Exposure,
         area: Area,
         component: int,
         grid: SceneGrid,

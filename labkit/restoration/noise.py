@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import nnls
 from scipy.special import chdtri
 
-from labkit.restoration.job import Colour, Photograph
+from labkit.restoration.job import Colour, Exposure
 from labkit.types import Bools, Floats
 
 STRIDE, SIDE = (
@@ -24,7 +24,7 @@ ROUNDS = 5
 
 
 def own_noise(
-    photograph: Photograph, colour: Colour, period: int
+    photograph: Exposure, colour: Colour, period: int
 ) -> tuple[float, float] | None:
     """(gain in counts an electron, read variance in counts squared) of a colour; None where the picture is too small or dark
     to tell. An upper bound where a scene is rough everywhere: what it adds is taken for noise."""

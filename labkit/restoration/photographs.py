@@ -9,14 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from labkit.calibration.calibrate import Calibration, channel_data
-from labkit.calibration.stack import saturated
 from labkit.errors import DataError
-from labkit.photographs.decoding import read_raw
+from labkit.photographs.decoding import read_photograph
 from labkit.photographs.exif import Exif, read_exif
-from labkit.photographs.photograph import Mosaic
+from labkit.photographs.photograph import Photograph
 from labkit.plan import Plan
 from labkit.plan.sensor import IN_COLOURS, MONO
-from labkit.restoration.job import Area, Photograph
+from labkit.restoration.job import Area, Exposure
 from labkit.session.frame import Frame
 from labkit.types import Floats
 
@@ -33,8 +32,8 @@ LEAST_PX = 16
 class Shot:
     """One photograph: counts above black, what of them can be used, its light, and how it was exposed."""
 
-    photograph: Photograph
-    mosaic: Mosaic
+    photograph: Exposure
+    mosaic: Photograph
     clipped: float
 
 
@@ -42,9 +41,9 @@ def read_shot(path: Path, plan: Plan, area: Area | None) -> Shot:
     """A photograph, or a cut of it in whole cells. Raises RawError, and DataError where it is no mosaic or too small a cut."""
     mosaic = _mosaic(path, plan)
     rows, columns = cells = whole_cells(mosaic, area, path)
-    counts = (mosaic.counts - mosaic.black_map())[cells].astype(np.float32)
-    clipped = saturated(mosaic)[rows, columns]
-    photograph = Photograph(counts, ~clipped, np.ones(counts.shape, np.float32))
+    counts = (mosaic.light)[cells].astype(np.float32)
+    clipped = mosaic.saturated[rows, columns]
+    photograph = Exposure(counts, ~clipped, np.ones(counts.shape, np.float32))
     return Shot(photograph, mosaic, float(clipped.mean()))
 
 
@@ -70,11 +69,11 @@ def read_frame(
         )
         counts[here], light[here] = data.counts[here], data.illumination[here]
         used |= data.mask
-    clipped = float(saturated(mosaic)[cells].mean())
-    return Shot(Photograph(counts[cells], used[cells], light[cells]), mosaic, clipped)
+    clipped = float(mosaic.saturated[cells].mean())
+    return Shot(Exposure(counts[cells], used[cells], light[cells]), mosaic, clipped)
 
 
-def whole_cells(mosaic: Mosaic, area: Area | None, path: Path) -> Area:
+def whole_cells(mosaic: Photograph, area: Area | None, path: Path) -> Area:
     """An area, or all, in whole cells of the filter array. Raises DataError for one outside the photograph, or too small."""
     rows, columns = mosaic.shape
     area = area or (slice(0, rows), slice(0, columns))
@@ -97,13 +96,13 @@ def whole_cells(mosaic: Mosaic, area: Area | None, path: Path) -> Area:
     return slice(*first), slice(*last)
 
 
-def period_of(mosaic: Mosaic) -> int:
+def period_of(mosaic: Photograph) -> int:
     """Pixels to a cell of the filter array."""
     return 1 if mosaic.pattern == MONO else 2
 
 
 def refuse_other_camera(
-    path: Path, mosaic: Mosaic, own: Exif, own_mosaic: Mosaic | None, plan: Plan
+    path: Path, mosaic: Photograph, own: Exif, own_mosaic: Photograph | None, plan: Plan
 ) -> None:
     """Raise DataError where a photograph's file says that another camera or aperture took it than the session's.
 
@@ -147,8 +146,8 @@ def refuse_other_camera(
         )
 
 
-def _mosaic(path: Path, plan: Plan) -> Mosaic:
-    mosaic = read_raw(path, plan.sensor)
+def _mosaic(path: Path, plan: Plan) -> Photograph:
+    mosaic = read_photograph(path, plan.sensor)
     if mosaic.pattern == IN_COLOURS:
         raise DataError(
             f"{path.name} is demosaiced: to restore, give the raw file that it was made of"
@@ -169,6 +168,6 @@ def own_exif(frames: Sequence[Frame]) -> Exif:
     return _exif(frames[0].path) if frames else Exif()
 
 
-def with_motion(shot: Shot, motion: Floats) -> Photograph:
+def with_motion(shot: Shot, motion: Floats) -> Exposure:
     """The photograph where it stands beside the first."""
     return replace(shot.photograph, motion=motion)

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import ndimage
 
 from labkit.errors import DataError
-from labkit.restoration.job import Area, Job, Photograph
+from labkit.restoration.job import Area, Exposure, Job
 from labkit.restoration.kriging import Kriging, Stiffness
 from labkit.restoration.views import Views
 from labkit.types import AnyComplexes, Floats, Floats32
@@ -24,12 +24,12 @@ MOST_TURN = 0.02  # of a motion that tiles take as shifts: rows and columns that
 
 
 def registered(
-    first: Photograph,
-    other: Photograph,
+    first: Exposure,
+    other: Exposure,
     period: int,
     places: Sequence[tuple[int, int]] | None = None,
 ) -> Floats:
-    """(2, 3) motion of a photograph beside the first, as `Photograph.motion` has it: a shift, by correlation of grey cells.
+    """(2, 3) motion of a photograph beside the first, as `Exposure.motion` has it: a shift, by correlation of grey cells.
 
     places: of the cell's pixels that are looked at, all by default. It is right to some tenths of a pixel, since cells alias:
     `refined` goes on from there. G. Evangelidis and E. Psarakis, IEEE Trans. PAMI 30, 1858 (2008). Raises DataError where
@@ -104,7 +104,7 @@ def _scene(views: Views, job: Job) -> AnyComplexes:
     return spectra
 
 
-def _step(job: Job, photograph: Photograph, area: Area, scene: AnyComplexes) -> Floats:
+def _step(job: Job, photograph: Exposure, area: Area, scene: AnyComplexes) -> Floats:
     """(2, 3) by which a photograph's motion is to be changed."""
     views = replace(job, photographs=(photograph,)).views(area)
     if views is None:
@@ -159,9 +159,7 @@ def _middle(job: Job) -> Area:
     return slice(rows, rows + sides[0]), slice(columns, columns + sides[1])
 
 
-def _grey(
-    photograph: Photograph, period: int, places: Sequence[tuple[int, int]]
-) -> Floats32:
+def _grey(photograph: Exposure, period: int, places: Sequence[tuple[int, int]]) -> Floats32:
     """Means over cells, gaps filled from around, on a scale of 0 to 1."""
     rows, columns = (side // period for side in photograph.counts.shape)
     total, share = np.zeros((rows, columns)), np.zeros((rows, columns))

@@ -20,7 +20,7 @@ from labkit.plan.sensor import MONO
 from labkit.restoration import output
 from labkit.restoration.blind import SPAN_WAVES, fitted_defocus
 from labkit.restoration.colours import colour_coupling
-from labkit.restoration.job import Area, Colour, Job, Photograph
+from labkit.restoration.job import Area, Colour, Exposure, Job
 from labkit.restoration.lens import nearest, waves_at
 from labkit.restoration.photographs import (
     Shot,
@@ -444,8 +444,8 @@ def _same(one: float | None, other: float | None) -> bool:
 
 
 __all__ = [
+    "Exposure",
     "Floats32",
-    "Photograph",
     "Restoration",
     "Wanted",
     "Wavefront",

@@ -10,7 +10,7 @@ from pathlib import Path
 from labkit.errors import RawError, printable
 from labkit.files import write_new
 from labkit.photographs.container import Container, recognise
-from labkit.photographs.decoding import read_raw
+from labkit.photographs.decoding import read_photograph
 from labkit.photographs.exif import DIAGONAL_35MM_MM, Exif, read_exif
 from labkit.photographs.processed_picture import is_processed, read_file
 from labkit.plan import Sensor
@@ -112,7 +112,7 @@ def write_draft(draft: Draft, path: Path) -> None:
 def _look(image: Path) -> _Photograph:
     container = recognise(image)
     if container.kind in ("raw", "jpeg"):
-        mosaic = read_raw(image, ANY)
+        mosaic = read_photograph(image, ANY)
         colours = (
             tuple(name for name in "RGB" if name in mosaic.cfa)
             if mosaic.cfa != "mono"
@@ -124,14 +124,14 @@ def _look(image: Path) -> _Photograph:
 
 def _of_numbers(image: Path, container: Container) -> _Photograph:
     """Return the properties of a file of bare numbers."""
-    picture, _ = read_file(image, container)
+    picture = read_file(image)
     rows, cols = picture.numbers.shape[:2]
     if not is_processed(picture, container, ANY):
         return _Photograph(
             container.kind, (rows, cols), (), unclear=False, white=picture.white
         )
     try:
-        read_raw(image, ANY)
+        read_photograph(image, ANY)
     except RawError:
         return _Photograph(container.kind, (rows, cols), ("R", "G", "B"), unclear=True)
     return _Photograph(container.kind, (rows, cols), ("R", "G", "B"))

@@ -17,9 +17,9 @@ from labkit.errors import DataError, InputError, RawError, shown
 from labkit.files import refuse_special
 from labkit.findings import Finding
 from labkit.photographs.alterations import Alterations, alterations
-from labkit.photographs.decoding import read_raw
+from labkit.photographs.decoding import read_photograph
 from labkit.photographs.exposure import difference, exposure_problem
-from labkit.photographs.photograph import Mosaic
+from labkit.photographs.photograph import Photograph
 from labkit.plan import Plan
 from labkit.plan.messages import plain_number
 from labkit.plan.sensor import MONO
@@ -253,11 +253,11 @@ def _check_photographs(
     """Decode every photograph. Raises DataError with all faults in one line."""
     checked: list[_Checked] = []
     problems: list[tuple[str, str]] = []
-    first: Mosaic | None = None
+    first: Photograph | None = None
     for done, row in enumerate(rows):
         progress(done, 2 * len(rows), f"checking {row.file}")
         try:
-            mosaic = read_raw(row.path, plan.sensor)
+            mosaic = read_photograph(row.path, plan.sensor)
         except RawError as error:
             problems.append((str(error), str(error).replace(str(row.path), "")))
             continue
@@ -288,7 +288,7 @@ def _each_once(problems: Sequence[tuple[str, str]], of: str) -> list[str]:
     ]
 
 
-def _channel_problem(mosaic: Mosaic, plan: Plan) -> str | None:
+def _channel_problem(mosaic: Photograph, plan: Plan) -> str | None:
     names = [channel.name for channel in plan.channel]
     if mosaic.pattern == MONO:
         return (

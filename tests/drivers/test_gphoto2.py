@@ -31,7 +31,7 @@ from labkit.drivers.gphoto2.camera import Gphoto2Camera, find_cameras
 from labkit.drivers.gphoto2.link import Link
 from labkit.drivers.simulated.dng import RawTags, write_raw
 from labkit.errors import CameraError, DeviceError, DeviceTimeoutError, PlanError
-from labkit.photographs.decoding import read_raw
+from labkit.photographs.decoding import read_photograph
 from labkit.plan import Plan, Sensor
 from tests.plans import SMALL, plan_text
 
@@ -67,7 +67,7 @@ class Scene:
 
 
 def number_in(path: Path) -> int:
-    return int(np.median(read_raw(path, SENSOR).counts)) - 1000
+    return int(np.median(read_photograph(path, SENSOR).counts)) - 1000
 
 
 @pytest.fixture
@@ -162,7 +162,7 @@ def test_the_librarys_own_cameras_are_listed_by_address(
     def no_backend(find_all: bool) -> None:
         raise usb.core.NoBackendError("No backend available")
 
-    monkeypatch.setattr(usb.core, "find", no_backend)
+    monkeypatch.setattr(usb.core, "found_edges", no_backend)
     assert run(["devices", "--json"]) == 0
     said = json.loads(capfd.readouterr().out)
     assert said["cameras"] == [

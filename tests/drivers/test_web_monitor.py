@@ -27,8 +27,8 @@ from labkit.drivers.web.preview import BINS, exposure, histogram
 from labkit.finder.preview import Look
 from labkit.finder.sharpness import sharpest_edge_px
 from labkit.panel.picture import panel_picture
-from labkit.photographs.decoding import read_raw
-from labkit.photographs.photograph import Mosaic
+from labkit.photographs.decoding import read_photograph
+from labkit.photographs.photograph import Photograph
 from labkit.plan import Plan, TargetSpec
 from labkit.session.session import Session, begin
 from labkit.target import open_target
@@ -146,10 +146,12 @@ def test_a_capture_through_the_glass_is_seen_by_the_operator(
     table.reads("count", "9 of 9")
     table.reads("frame-name", "target_2050.5_1 · 2050.5 mm")
     page = table.operator.page
-    sharpest = sharpest_edge_px(read_raw(session.frames[-1].path, session.plan.sensor))
+    sharpest = sharpest_edge_px(
+        read_photograph(session.frames[-1].path, session.plan.sensor)
+    )
     assert page.inner_text("#sharpness") == f"{sharpest:.1f} px"
     assert page.inner_text("#clipped").endswith("%")
-    width = read_raw(session.frames[-1].path, session.plan.sensor).counts.shape[1]
+    width = read_photograph(session.frames[-1].path, session.plan.sensor).counts.shape[1]
     assert page.evaluate("document.getElementById('preview').naturalWidth") == width // 2
     assert page.locator("#histogram rect").count() == BINS
     assert "simulated" in page.inner_text("#log-list")
@@ -336,8 +338,8 @@ def test_served_targets_are_picked_on_the_page(lab: Lab, glass: OpenGlass) -> No
 # ---- numbers
 
 
-def mosaic(counts: Any, black: float = 100, white: float = 1100) -> Mosaic:
-    return Mosaic(
+def mosaic(counts: Any, black: float = 100, white: float = 1100) -> Photograph:
+    return Photograph(
         np.asarray(counts, dtype=np.uint16), np.full((2, 2), black), white, ("RG", "GB")
     )
 

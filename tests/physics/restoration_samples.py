@@ -9,7 +9,7 @@ import numpy as np
 from labkit.experiments.camera import Camera
 from labkit.experiments.picture_camera import PictureCamera
 from labkit.imaging.optics import Optics
-from labkit.restoration.job import Colour, Job, Photograph
+from labkit.restoration.job import Colour, Exposure, Job
 from labkit.types import Floats
 
 NOLL = (4, 5, 6, 7)
@@ -52,7 +52,7 @@ def job(
     """One colour's planes of a Bayer mosaic."""
     colour = Colour("G", places, OPTICS, WAVES, GAIN, READ_NOISE**2)
     shots = [
-        Photograph(counts, np.ones(counts.shape, bool), np.ones(counts.shape))
+        Exposure(counts, np.ones(counts.shape, bool), np.ones(counts.shape))
         for counts in frames
     ]
     return Job(tuple(shots), (colour,), 2, samples, guard_px, np.eye(1))

@@ -10,7 +10,7 @@ import pytest
 
 from labkit.experiments.picture_camera import PictureCamera
 from labkit.restoration.blind import Defocus, fitted_defocus, moved
-from labkit.restoration.job import Job, Photograph
+from labkit.restoration.job import Exposure, Job
 from labkit.restoration.noise import own_noise
 from tests.physics.restoration_samples import GAIN, NOLL, WAVES, exposed, job, world
 
@@ -62,7 +62,7 @@ def test_a_photographs_noise_is_found_beside_its_scene() -> None:
     rng = np.random.default_rng(0)
     mean = np.add.outer(np.linspace(50, 9000, 512), np.zeros(768))
     counts = GAIN * rng.poisson(mean / GAIN) + rng.normal(0, 3.0, mean.shape)
-    shot = Photograph(counts, np.ones(counts.shape, bool), np.ones(counts.shape))
+    shot = Exposure(counts, np.ones(counts.shape, bool), np.ones(counts.shape))
     noise = own_noise(shot, replace(job(counts).colours[0], places=((0, 1), (1, 0))), 2)
     assert noise is not None
     assert noise[0] == pytest.approx(

@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.random_sessions import draw_with_parts, make
 from labkit.finder.find_target import find_target, grey_image
-from labkit.photographs.decoding import read_raw
+from labkit.photographs.decoding import read_photograph
 from labkit.target import open_target
 
 
@@ -19,11 +19,11 @@ def test_a_pose_out_of_the_frame_is_not_the_last_that_is_looked_at(tmp_path: Pat
         1, 62
     )  # smeared as well; the quadrilateral found first reached 14 pixels out of the frame
     make(drawn, tmp_path / "session")
-    mosaic = read_raw(
+    mosaic = read_photograph(
         next((tmp_path / "session/frames").glob("target_687.3_0.*")), drawn.plan.sensor
     )
     corners = find_target(
-        grey_image(mosaic.counts - mosaic.black_map(), mosaic.pattern),
+        grey_image(mosaic.light, mosaic.pattern),
         open_target(drawn.plan.target),
     )
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1)

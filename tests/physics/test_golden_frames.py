@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from labkit.calibration.calibrate import Calibration, calibrate, channel_data
 from labkit.finder.find_target import find_target, grey_image
-from labkit.photographs.decoding import read_raw
+from labkit.photographs.decoding import read_photograph
 from labkit.plan import Plan
 from labkit.session.session import Session
 from labkit.target import open_target
@@ -43,7 +43,7 @@ def calibration(session: Session) -> Calibration:
 
 def found_in(path: Path, plan_path: Path) -> NDArray[np.float64]:
     plan = Plan.load(plan_path)
-    mosaic = read_raw(path, plan.sensor)
+    mosaic = read_photograph(path, plan.sensor)
     return find_target(grey_image(mosaic.counts, mosaic.pattern), open_target(plan.target))
 
 
@@ -91,7 +91,7 @@ def test_a_flat_over_its_model_is_photon_noise_at_every_scale(
 ) -> None:
     for frame in (frame for frame in session.frames if frame.kind == "flat"):
         data = channel_data(
-            calibration, frame, read_raw(frame.path, session.plan.sensor), "G"
+            calibration, frame, read_photograph(frame.path, session.plan.sensor), "G"
         )
         assert data.noise.gain is not None
         assert data.noise.read_noise is not None

@@ -22,7 +22,7 @@ from labkit.errors import (
     RailError,
     SessionError,
 )
-from labkit.photographs.decoding import read_raw
+from labkit.photographs.decoding import read_photograph
 from labkit.plan import Plan
 from labkit.session.session import Session, begin
 from labkit.session.verify import verify
@@ -85,7 +85,7 @@ def test_flats_are_white_targets_are_not_and_darks_are_dark(
 ) -> None:
     session = run(plan_file, tmp_path / "s", make_context(plan_file))
     level = {
-        f.kind: np.median(read_raw(f.path, session.plan.sensor).counts[::2, 1::2])
+        f.kind: np.median(read_photograph(f.path, session.plan.sensor).counts[::2, 1::2])
         for f in session.frames
     }
     assert level["dark"] == 600

@@ -15,7 +15,7 @@ import pytest
 from labkit.acquisition.capture import run_plan
 from labkit.acquisition.sequence import missing
 from labkit.devices.registry import open_devices
-from labkit.photographs.decoding import read_raw
+from labkit.photographs.decoding import read_photograph
 from labkit.session.session import Session, begin
 from labkit.session.verify import remarks, verify
 
@@ -121,7 +121,7 @@ def test_a_killed_and_resumed_capture_ends_as_an_undisturbed_one(
     for frame in Session.open(tmp_path / "whole").frames:
         pair = [tmp_path / name / "frames" / frame.file for name in ("killed", "whole")]
         one, other = (
-            read_raw(path, Session.open(tmp_path / "whole").plan.sensor).counts
+            read_photograph(path, Session.open(tmp_path / "whole").plan.sensor).counts
             for path in pair
         )
         np.testing.assert_array_equal(one, other)

@@ -21,7 +21,7 @@ import pytest
 import labkit
 from benchmarks.claims import CLAIMS, limit
 from labkit.cli import run
-from labkit.photographs.decoding import read_raw
+from labkit.photographs.decoding import read_photograph
 from labkit.plan import Plan
 from labkit.types import Floats
 from tests.golden.measure import errors, import_and_fit
@@ -107,8 +107,10 @@ def test_one_photograph_in_memory_is_fitted(golden: Path) -> None:
         f"active_um={PITCH_UM * ACTIVE / FINER:.2f}",
     )
     assert [number in code for number in numbers] == [True] * 3
-    mosaic = read_raw(golden / "target_1600_0.dng", Plan.load(golden / "plan.toml").sensor)
-    names: dict[str, Any] = {"counts": mosaic.counts - mosaic.black_map()}
+    mosaic = read_photograph(
+        golden / "target_1600_0.dng", Plan.load(golden / "plan.toml").sensor
+    )
+    names: dict[str, Any] = {"counts": mosaic.light}
     exec(f"import labkit\n{code}", names)
     w = names["w"]
     even = np.isin(w.noll, (4, 5, 6, 11, 12, 13, 14, 15))

@@ -24,7 +24,7 @@ from labkit.finder.find_target import find_target, grey_image
 from labkit.finder.preview import Look
 from labkit.finder.sharpness import blur_px, edge_px
 from labkit.optics.lens import ThinLens, circle_of_confusion_mm
-from labkit.photographs.decoding import read_raw
+from labkit.photographs.decoding import read_photograph
 from labkit.plan import Plan
 from labkit.session.session import Session, begin
 from labkit.session.verify import remarks, verify
@@ -239,10 +239,10 @@ def test_blur_is_the_circle_of_confusion_and_edges_rise_over_as_much(
         edges = []
         for range_mm in (2600.0, 3400.0):
             devices.rail.move_to(range_mm - 2400)
-            mosaic = read_raw(
+            mosaic = read_photograph(
                 devices.camera.expose(tmp_path / f"{range_mm:g}").path, plan.sensor
             )
-            grey = grey_image(mosaic.counts - mosaic.black_map(), mosaic.pattern)
+            grey = grey_image(mosaic.light, mosaic.pattern)
             true_px = (
                 float(circle_of_confusion_mm(lens, range_mm, truth.best_focus_mm["G"]))
                 / 4.78e-3

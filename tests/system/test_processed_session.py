@@ -12,7 +12,7 @@ from labkit.acquisition.capture import run_plan
 from labkit.analysis.fit import fit
 from labkit.calibration.calibrate import calibrate
 from labkit.devices.registry import open_devices
-from labkit.photographs.decoding import read_raw
+from labkit.photographs.decoding import read_photograph
 from labkit.results import Results
 from labkit.session.import_frames import import_frames
 from labkit.session.session import Session
@@ -70,8 +70,8 @@ def developed(raw: Results, folder: Path, suffix: str, **how: object) -> Path:
     for frame in session.frames:
         if frame.kind == "dark":
             continue  # a program has taken the black level off
-        mosaic = read_raw(frame.path, session.plan.sensor)
-        light = (mosaic.counts - mosaic.black_map()) / (mosaic.white - mosaic.black[0, 0])
+        mosaic = read_photograph(frame.path, session.plan.sensor)
+        light = (mosaic.light) / (mosaic.white - mosaic.black[0, 0])
         grey = np.rint(255 * stored(light)).clip(0, 255).astype(np.uint8)
         name = frame.file.replace(".tif", suffix)
         Image.fromarray(np.dstack([grey] * 3)).save(folder / name, **how)  # type: ignore[arg-type]

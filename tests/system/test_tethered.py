@@ -33,7 +33,7 @@ from labkit.drivers.gphoto2.link import Link
 from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.dng import RawTags, write_raw
 from labkit.errors import DeviceError
-from labkit.photographs.decoding import read_raw
+from labkit.photographs.decoding import read_photograph
 from labkit.plan import Plan
 from labkit.session.session import Session, begin
 from labkit.session.verify import verify
@@ -224,7 +224,7 @@ def _counts(session: Session) -> dict[str, str]:
     """What is in each photograph, as a checksum of its pixels."""
     return {
         frame.file: hashlib.sha256(
-            read_raw(frame.path, session.plan.sensor).counts.tobytes()
+            read_photograph(frame.path, session.plan.sensor).counts.tobytes()
         ).hexdigest()
         for frame in session.frames
     }

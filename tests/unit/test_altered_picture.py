@@ -12,8 +12,8 @@ from scipy.stats import norm
 
 from labkit.errors import DataError
 from labkit.photographs.alterations import Alterations, alterations, edge_overshoot
-from labkit.photographs.decoding import read_raw
-from labkit.photographs.photograph import Mosaic
+from labkit.photographs.decoding import read_photograph
+from labkit.photographs.photograph import Photograph
 from labkit.plan import Sensor
 from labkit.session.import_frames import import_frames
 from labkit.types import Floats
@@ -63,17 +63,17 @@ def sharpened(picture: Floats, amount: float, radius_px: float) -> Floats:
     )
 
 
-def grey(folder: Path, picture: Floats) -> Mosaic:
+def grey(folder: Path, picture: Floats) -> Photograph:
     """As PNG of 16 bit."""
     assert cv2.imwrite(
         str(folder / "a.png"), np.rint(100 * picture).clip(0, 65535).astype(np.uint16)
     )
-    return read_raw(folder / "a.png", GREY)
+    return read_photograph(folder / "a.png", GREY)
 
 
 def developed(
     folder: Path, picture: Floats, times: float = 1.0, quality: int | None = None
-) -> Mosaic:
+) -> Photograph:
     """Sampled through a Bayer array, demosaiced by OpenCV, sRGB, enlarged, stored with 8 bit."""
     raw = np.rint(16 * picture).clip(0, 4095).astype(np.uint16)
     light = cv2.demosaicing(raw, cv2.COLOR_BayerRG2RGB_EA) / 4095.0
@@ -85,7 +85,7 @@ def developed(
     final = np.rint(enlarged(stored, times)).clip(0, 255).astype(np.uint8)
     name = folder / ("a.png" if quality is None else "a.jpg")
     Image.fromarray(final).save(name, quality=quality or 75)  # which PNG ignores
-    return read_raw(name, Sensor(pixel_pitch_um=5.0))
+    return read_photograph(name, Sensor(pixel_pitch_um=5.0))
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.3, 3.0, 10.0])

@@ -17,7 +17,7 @@ import pytest
 from labkit import apart
 from labkit.apart import run_apart
 from labkit.errors import InputError, RawError
-from labkit.photographs.decoding import read_raw
+from labkit.photographs.decoding import read_photograph
 from labkit.plan import Sensor
 from labkit.types import Floats
 
@@ -141,7 +141,7 @@ def test_a_tiff_of_thousands_of_overlapping_directories_is_refused(
         struct.pack_into("<I", content, at + 2 + 12 * entries, at + step)
     (tmp_path / "a.tif").write_bytes(content)
     with pytest.raises(RawError, match=r"a\.tif: .* takes too long to decode"):
-        read_raw(tmp_path / "a.tif", Sensor(pixel_pitch_um=5.0))
+        read_photograph(tmp_path / "a.tif", Sensor(pixel_pitch_um=5.0))
 
 
 def size_of(path: Path) -> int:

@@ -14,7 +14,7 @@ from labkit.calibration.calibrate import Calibration, ChannelData, calibrate, ch
 from labkit.calibration.masters import clipped_mean, shrunk, smooth_illumination
 from labkit.errors import DataError, RawError
 from labkit.findings import Finding
-from labkit.photographs.decoding import read_raw
+from labkit.photographs.decoding import read_photograph
 from labkit.session.frame import Frame
 from labkit.types import Floats
 from tests.sensor import COLOURS, GAIN, PRNU, READ_NOISE, SHAPE, Bench, light_at
@@ -29,7 +29,7 @@ def calibration_of(bench: Bench) -> Calibration:
 
 
 def data_of(bench: Bench, frame: Frame, name: str) -> ChannelData:
-    mosaic = read_raw(frame.path, bench.session.plan.sensor)
+    mosaic = read_photograph(frame.path, bench.session.plan.sensor)
     return channel_data(calibration_of(bench), frame, mosaic, name)
 
 

@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from labkit.errors import InputError, SessionError, TargetError
-from labkit.photographs.decoding import read_raw
+from labkit.photographs.decoding import read_photograph
 from labkit.plan import Plan
 from labkit.session.import_frames import import_frames
 from labkit.session.session import Session
@@ -116,7 +116,7 @@ def test_a_camera_never_met_is_imported_with_its_own_phase_depth_levels_and_orie
         )
         write_dng(tmp_path / name, counts, cfa=cfa, black=black, white=white, orientation=6)
     session = folder.run()
-    mosaic = read_raw(session.frames[2].path, session.plan.sensor)
+    mosaic = read_photograph(session.frames[2].path, session.plan.sensor)
     assert (mosaic.cfa, mosaic.white, mosaic.black[1, 1], mosaic.counts.shape) == (
         cfa,
         white,

@@ -47,7 +47,7 @@ MATHEMATICS = (
 ARRAYS = {
     "labkit/edges": [
         "esfr",
-        "find",
+        "found_edges",
         "joint",
         "profile",
         "ranges",
@@ -222,7 +222,7 @@ def reached(start: Path) -> set[str]:
     todo = [start]
     while todo:
         for dotted in imported(todo.pop()):
-            # "labkit.photographs.photograph.Mosaic" is a name in the module labkit.photographs.photograph
+            # "labkit.photographs.photograph.Photograph" is a name in the module labkit.photographs.photograph
             module = next(
                 (m for m in (dotted, dotted.rpartition(".")[0]) if m in DOTTED), dotted
             )

@@ -15,8 +15,8 @@ from labkit.analysis.observe import observe
 from labkit.errors import DataError
 from labkit.estimation.observation import Observation
 from labkit.key import Key
-from labkit.photographs.decoding import read_raw
-from labkit.photographs.photograph import Mosaic
+from labkit.photographs.decoding import read_photograph
+from labkit.photographs.photograph import Photograph
 from labkit.plan import Plan, Sensor
 from labkit.target import open_target
 from tests.sensor import BLACK, Bench, light_at
@@ -49,12 +49,12 @@ def test_each_photograph_is_decoded_once(
 ) -> None:
     decoded: Counter[str] = Counter()
 
-    def counted(path: Path, sensor: Sensor) -> Mosaic:
+    def counted(path: Path, sensor: Sensor) -> Photograph:
         decoded[path.name] += 1
-        return read_raw(path, sensor)
+        return read_photograph(path, sensor)
 
     for module in (labkit.analysis.observe, labkit.calibration.stack):
-        monkeypatch.setattr(module, "read_raw", counted)
+        monkeypatch.setattr(module, "read_photograph", counted)
     assert len(observed(bench)) == 9
     assert decoded == Counter(frame.file for frame in bench.session.frames)
 
@@ -93,7 +93,9 @@ def test_an_observation_says_where_its_cut_stands_in_the_frame(bench: Bench) -> 
         np.testing.assert_allclose(
             corners, [[40, 60], [40, 160], [140, 160], [140, 60]], atol=1e-9
         )
-        mosaic = read_raw(bench.session.folder / "frames" / name, bench.session.plan.sensor)
+        mosaic = read_photograph(
+            bench.session.folder / "frames" / name, bench.session.plan.sensor
+        )
         rows, columns = observation.shape
         cut = mosaic.counts[30 : 30 + rows, 50 : 50 + columns]
         assert (

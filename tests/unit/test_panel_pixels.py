@@ -19,7 +19,7 @@ from labkit.panel.drawn_target import PanelTarget
 from labkit.panel.pattern_in_flats import repeating
 from labkit.panel.seen_pixels import SeenPixels, refuse_other_pixels, seen_pixels
 from labkit.panel.target_pixels import as_shown, pixels_per_cell
-from labkit.photographs.decoding import read_raw
+from labkit.photographs.decoding import read_photograph
 from labkit.photographs.exposure import aperiodic_noise, exposure_problem, pixel_noise
 from labkit.plan import Plan, TargetPixels
 from labkit.target import CellTarget, open_target
@@ -134,11 +134,11 @@ def test_flats_of_stripes_still_tell_light_and_response(tmp_path: Path) -> None:
             bench.add("flat", range_mm, 18000 * light_at(range_mm) * lattice(per_px), 6)
         target = bench.add("target", 2200.0, 1000.0)
         calibration = calibrate(bench.session.frames, bench.session.plan)
-        mosaic = read_raw(target.path, bench.session.plan.sensor)
+        mosaic = read_photograph(target.path, bench.session.plan.sensor)
         assert calibration.panel_seen
         assert (
             exposure_problem(
-                read_raw(bench.session.frames[8].path, bench.session.plan.sensor),
+                read_photograph(bench.session.frames[8].path, bench.session.plan.sensor),
                 "flat",
                 "RGB",
             )

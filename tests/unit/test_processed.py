@@ -16,11 +16,11 @@ from PIL import Image, ImageCms
 from labkit.calibration.calibrate import Calibration, channel_data
 from labkit.errors import DataError, InputError, RawError
 from labkit.estimation.likelihood import Detector, FrameData, predict
-from labkit.photographs.decoding import read_raw
+from labkit.photographs.decoding import read_photograph
 from labkit.photographs.encoding import Encoding, profile_curves, srgb
 from labkit.photographs.exposure import exposure_problem
 from labkit.photographs.jpeg import read_header
-from labkit.photographs.photograph import Mosaic
+from labkit.photographs.photograph import Photograph
 from labkit.photographs.tone_curve import stated_curve
 from labkit.plan import Sensor
 from labkit.session.frame import Frame
@@ -49,7 +49,7 @@ def frame(path: Path) -> Frame:
     return Frame(path.name, "target", None, "", None, "", path)
 
 
-def in_colours(mosaic: Mosaic) -> NDArray[np.uint16]:
+def in_colours(mosaic: Photograph) -> NDArray[np.uint16]:
     """(rows, cols, 3)"""
     return np.dstack(
         [mosaic.part(name, (slice(0, None), slice(0, None))).counts for name in "RGB"]
@@ -132,7 +132,7 @@ def test_a_picture_in_colours_is_three_whole_planes_of_light(
         colours,
         **({"quality": 100, "subsampling": 0} if suffix == ".jpg" else {}),
     )
-    mosaic = read_raw(path, SILENT)
+    mosaic = read_photograph(path, SILENT)
     assert (mosaic.shape, mosaic.cfa, mosaic.white) == ((48, 64), "RGB", 65535)
     stored = np.asarray(Image.open(path), dtype=np.float64) / 255
     light = np.where(stored <= 0.04045, stored / 12.92, ((stored + 0.055) / 1.055) ** 2.4)
@@ -147,7 +147,7 @@ def test_an_embedded_profile_is_taken(
 ) -> None:
     path = saved(tmp_path / f"a{suffix}", colours, icc_profile=profile_of(2.0))
     stored = np.asarray(Image.open(path), dtype=np.float64) / 255
-    mosaic = read_raw(path, SILENT)
+    mosaic = read_photograph(path, SILENT)
     np.testing.assert_allclose(
         in_colours(mosaic)[..., 1:], 65535 * stored[..., 1:] ** 2, atol=0.51
     )
@@ -165,11 +165,11 @@ def test_colours_of_16_bit_are_linear_or_not_as_the_plan_says(
         RawError,
         match=r'does not say how its numbers stand to light: .* tone_curve = "linear" or "sRGB"',
     ):
-        read_raw(path, SILENT)
-    mosaic = read_raw(path, Sensor(pixel_pitch_um=5.0, tone_curve="linear"))
+        read_photograph(path, SILENT)
+    mosaic = read_photograph(path, Sensor(pixel_pitch_um=5.0, tone_curve="linear"))
     np.testing.assert_array_equal(in_colours(mosaic), deep)
     assert mosaic.tone is None
-    bent = read_raw(path, Sensor(pixel_pitch_um=5.0, tone_curve="sRGB"))
+    bent = read_photograph(path, Sensor(pixel_pitch_um=5.0, tone_curve="sRGB"))
     np.testing.assert_allclose(in_colours(bent), 65535 * srgb(deep / 65535), atol=0.51)
 
 
@@ -177,17 +177,17 @@ def test_a_grey_jpeg_is_mono_and_a_grey_png_stays_linear_unless_the_plan_says_so
     tmp_path: Path,
 ) -> None:
     grey = np.tile(RAMP, (20, 1))
-    jpeg = read_raw(saved(tmp_path / "a.jpg", grey, quality=100), SILENT)
+    jpeg = read_photograph(saved(tmp_path / "a.jpg", grey, quality=100), SILENT)
     assert jpeg.cfa == "mono"
     stored = np.asarray(Image.open(tmp_path / "a.jpg")) / 255.0
     np.testing.assert_allclose(jpeg.counts, 65535 * srgb(stored), atol=0.51)
     path = saved(tmp_path / "a.png", grey)
-    as_before = read_raw(
+    as_before = read_photograph(
         path, Sensor(pixel_pitch_um=5.0, cfa_pattern="mono", black_level=0, white_level=255)
     )
     np.testing.assert_array_equal(as_before.counts, grey)
     assert as_before.notes == ()
-    undone = read_raw(path, Sensor(pixel_pitch_um=5.0, tone_curve="sRGB"))
+    undone = read_photograph(path, Sensor(pixel_pitch_um=5.0, tone_curve="sRGB"))
     np.testing.assert_allclose(undone.counts, 65535 * srgb(grey / 255), atol=0.51)
 
 
@@ -199,10 +199,12 @@ def test_full_scale_is_the_files_own(tmp_path: Path) -> None:
     )  # of one bit
     undone = Sensor(pixel_pitch_um=5.0, tone_curve="sRGB")
     np.testing.assert_allclose(
-        read_raw(tmp_path / "a.pgm", undone).counts, 65535 * srgb(numbers / 4095), atol=0.51
+        read_photograph(tmp_path / "a.pgm", undone).counts,
+        65535 * srgb(numbers / 4095),
+        atol=0.51,
     )
     np.testing.assert_array_equal(
-        read_raw(tmp_path / "b.png", undone).counts, [[0, 65535], [65535, 0]]
+        read_photograph(tmp_path / "b.png", undone).counts, [[0, 65535], [65535, 0]]
     )
 
 
@@ -215,7 +217,7 @@ def test_the_rounding_of_8_bit_is_in_the_noise_through_the_curves_slope(
         np.repeat([[30, 100, 200]], 40, axis=0).astype(np.uint8),
     )
     path = saved(tmp_path / "a.png", np.dstack([np.repeat(stored, 20, axis=1)] * 3))
-    data = channel_data(NOTHING, frame(path), read_raw(path, SILENT), "G")
+    data = channel_data(NOTHING, frame(path), read_photograph(path, SILENT), "G")
     for column, code in ((5, 30), (25, 100), (45, 200)):
         light = 65535 * srgb((code + rng.uniform(-0.5, 0.5, 200_000)) / 255)
         # a variance of 200,000 uniform numbers is known to 0.2 %; the curve bends by more within a step
@@ -233,8 +235,8 @@ def test_colours_of_a_jpeg_that_are_coarser_are_told(
     halved, whole = (
         saved(tmp_path / f"{s}.jpg", colours, quality=95, subsampling=s) for s in (2, 0)
     )
-    assert "half resolution" in " ".join(map(str, read_raw(halved, SILENT).notes))
-    assert "half resolution" not in " ".join(map(str, read_raw(whole, SILENT).notes))
+    assert "half resolution" in " ".join(map(str, read_photograph(halved, SILENT).notes))
+    assert "half resolution" not in " ".join(map(str, read_photograph(whole, SILENT).notes))
 
 
 @pytest.mark.parametrize(
@@ -247,7 +249,7 @@ def test_a_jpegs_header_is_read_as_pillow_reads_it(
     path = saved(tmp_path / "a.jpg", colours, icc_profile=icc, **how)
     header = read_header(path.read_bytes())
     with Image.open(path) as pillow:
-        assert (header.cols, header.rows, header.colours) == (*pillow.size, 3)
+        assert header.shape == (*pillow.size[::-1], 3)
         assert header.icc == pillow.info["icc_profile"]
         assert header.exif == pillow.info.get("exif", b"")[6:]
 
@@ -267,7 +269,7 @@ def test_a_damaged_jpeg_is_refused_in_one_line(
     path = saved(tmp_path / "a.jpg", colours, quality=95)
     path.write_bytes(spoil(path.read_bytes()))
     with pytest.raises(RawError, match=r"^\S+a\.jpg: is truncated or damaged[^\n]*$"):
-        read_raw(path, SILENT)
+        read_photograph(path, SILENT)
 
 
 def test_a_jpeg_declared_raw_says_what_to_do(
@@ -277,13 +279,13 @@ def test_a_jpeg_declared_raw_says_what_to_do(
         RawError,
         match=r"is a JPEG, though its name ends in \.NEF: give the camera's raw file",
     ):
-        read_raw(saved(tmp_path / "DSC_1.NEF", colours, format="JPEG"), SILENT)
+        read_photograph(saved(tmp_path / "DSC_1.NEF", colours, format="JPEG"), SILENT)
     bayer = Sensor(pixel_pitch_um=5.0, cfa_pattern="RGGB", black_level=0, white_level=255)
     with pytest.raises(
         RawError,
         match=r'is a JPEG, but the plan\'s sensor.cfa_pattern = "RGGB" declares raw numbers',
     ):
-        read_raw(saved(tmp_path / "a.jpg", colours), bayer)
+        read_photograph(saved(tmp_path / "a.jpg", colours), bayer)
 
 
 def test_what_is_wrong_with_many_files_alike_is_said_once(
@@ -305,12 +307,12 @@ def test_what_is_wrong_with_many_files_alike_is_said_once(
 def test_overexposed_colours_are_named(tmp_path: Path, colours: NDArray[np.uint8]) -> None:
     assert (
         exposure_problem(
-            read_raw(saved(tmp_path / "a.png", colours), SILENT), "target", "RGB"
+            read_photograph(saved(tmp_path / "a.png", colours), SILENT), "target", "RGB"
         )
         is None
     )
     colours[10:40, 10:40, 2] = 255
-    mosaic = read_raw(saved(tmp_path / "b.png", colours), SILENT)
+    mosaic = read_photograph(saved(tmp_path / "b.png", colours), SILENT)
     problem = exposure_problem(mosaic, "target", "RGB")
     assert problem is not None
     assert "overexposed" in problem

@@ -11,7 +11,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from labkit.errors import RawError
-from labkit.photographs.decoding import read_raw
+from labkit.photographs.decoding import read_photograph
 from labkit.plan import Sensor
 
 WriteDng = Callable[..., Path]
@@ -31,7 +31,7 @@ def counts() -> NDArray[np.uint16]:
 def refusal(path: Path, sensor: Sensor, capfd: pytest.CaptureFixture[str]) -> str:
     """The message for a file that cannot be used: one line that names it, and nothing else on the terminal."""
     with pytest.raises(RawError) as caught:
-        read_raw(path, sensor)
+        read_photograph(path, sensor)
     message = str(caught.value)
     assert str(path) in message
     assert "\n" not in message
@@ -48,7 +48,7 @@ def test_the_filter_phase_is_the_files_and_the_picture_is_never_turned(
     cfa: str,
     orientation: int,
 ) -> None:
-    mosaic = read_raw(
+    mosaic = read_photograph(
         write_dng(tmp_path / "a.dng", counts, cfa=cfa, orientation=orientation), SILENT
     )
     assert mosaic.pattern == (cfa[:2], cfa[2:])
@@ -65,7 +65,7 @@ def test_the_filter_phase_is_the_files_and_the_picture_is_never_turned(
 def test_black_and_white_levels_are_the_files(
     tmp_path: Path, write_dng: WriteDng, counts: NDArray[np.uint16], black: int, white: int
 ) -> None:
-    mosaic = read_raw(
+    mosaic = read_photograph(
         write_dng(tmp_path / "a.dng", counts, black=black, white=white), SILENT
     )
     assert mosaic.white == white
@@ -76,17 +76,17 @@ def test_black_and_white_levels_are_the_files(
 def test_each_place_of_the_cell_has_its_own_black_level(
     tmp_path: Path, write_dng: WriteDng, counts: NDArray[np.uint16], cfa: str
 ) -> None:
-    mosaic = read_raw(
+    mosaic = read_photograph(
         write_dng(tmp_path / "a.dng", counts, cfa=cfa, black=(600, 601, 602, 603)), SILENT
     )
     np.testing.assert_array_equal(mosaic.black, [[600, 601], [602, 603]])
-    np.testing.assert_array_equal(mosaic.black_map()[60:, 92:], [[600, 601], [602, 603]])
+    np.testing.assert_array_equal(mosaic.black_map[60:, 92:], [[600, 601], [602, 603]])
 
 
 def test_a_raw_without_filters_is_mono(
     tmp_path: Path, write_dng: WriteDng, counts: NDArray[np.uint16]
 ) -> None:
-    mosaic = read_raw(write_dng(tmp_path / "a.dng", counts, cfa="mono"), SILENT)
+    mosaic = read_photograph(write_dng(tmp_path / "a.dng", counts, cfa="mono"), SILENT)
     assert (mosaic.pattern, mosaic.cfa) == (("M",), "mono")
     assert mosaic.channel_mask("L").all()
     np.testing.assert_array_equal(mosaic.counts, counts)
@@ -95,7 +95,7 @@ def test_a_raw_without_filters_is_mono(
 def test_camera_and_exposure_come_from_the_tags(
     tmp_path: Path, write_dng: WriteDng, counts: NDArray[np.uint16]
 ) -> None:
-    mosaic = read_raw(
+    mosaic = read_photograph(
         write_dng(tmp_path / "a.dng", counts, model="Acme D2", exposure=(1, 125)), SILENT
     )
     assert (mosaic.camera, mosaic.iso) == ("Acme Acme D2", 200)
@@ -106,7 +106,7 @@ def test_the_type_is_recognised_by_the_content(
     tmp_path: Path, write_dng: WriteDng, counts: NDArray[np.uint16]
 ) -> None:
     path = write_dng(tmp_path / "DSC_0001.JPG", counts)
-    np.testing.assert_array_equal(read_raw(path, SILENT).counts, counts)
+    np.testing.assert_array_equal(read_photograph(path, SILENT).counts, counts)
 
 
 @pytest.mark.parametrize("suffix", [".tif", ".png", ".pgm"])
@@ -121,7 +121,7 @@ def test_bare_numbers_come_as_they_are(
     numbers = (counts % 256).astype(dtype) if dtype is np.uint8 else counts
     assert cv2.imwrite(str(path), numbers)
     sensor = BYTES if dtype is np.uint8 else BAYER
-    mosaic = read_raw(path, sensor)
+    mosaic = read_photograph(path, sensor)
     np.testing.assert_array_equal(mosaic.counts, numbers)
     assert (mosaic.black[0, 0], mosaic.white, mosaic.cfa) == (
         sensor.black_level,
@@ -135,7 +135,7 @@ def test_a_pgm_of_14_bits_is_not_stretched(
 ) -> None:
     path = tmp_path / "a.pgm"
     path.write_bytes(b"P5\n# a comment\n94 62\n16383\n" + counts.astype(">u2").tobytes())
-    np.testing.assert_array_equal(read_raw(path, BAYER).counts, counts)
+    np.testing.assert_array_equal(read_photograph(path, BAYER).counts, counts)
 
 
 @pytest.mark.parametrize("compression", ["zlib", "lzw"])
@@ -148,7 +148,7 @@ def test_a_compressed_tiff_is_read(
         "lzw": cv2.IMWRITE_TIFF_COMPRESSION_LZW,
     }[compression]
     assert cv2.imwrite(str(path), counts, [cv2.IMWRITE_TIFF_COMPRESSION, tag])
-    np.testing.assert_array_equal(read_raw(path, BAYER).counts, counts)
+    np.testing.assert_array_equal(read_photograph(path, BAYER).counts, counts)
 
 
 def test_bare_numbers_without_levels_in_the_plan_name_what_is_missing(
@@ -181,7 +181,9 @@ def test_a_plan_that_contradicts_the_file_is_refused(
         path, sensor, capfd
     )
     np.testing.assert_array_equal(
-        read_raw(path, Sensor.model_validate({"pixel_pitch_um": 5.0, **right})).counts,
+        read_photograph(
+            path, Sensor.model_validate({"pixel_pitch_um": 5.0, **right})
+        ).counts,
         counts,
     )
 
@@ -190,7 +192,7 @@ def test_a_colour_that_the_filter_lacks_is_refused(
     tmp_path: Path, write_dng: WriteDng, counts: NDArray[np.uint16]
 ) -> None:
     with pytest.raises(RawError, match=r"no channel E .* RGGB"):
-        read_raw(write_dng(tmp_path / "a.dng", counts), SILENT).channel_mask("E")
+        read_photograph(write_dng(tmp_path / "a.dng", counts), SILENT).channel_mask("E")
 
 
 @pytest.mark.parametrize("suffix", [".dng", ".tif", ".png", ".pgm"])
@@ -259,7 +261,7 @@ def test_a_white_level_beyond_the_file_is_refused(
     not SHARED.is_dir(), reason="the reference sessions are not beside this checkout"
 )
 def test_an_independent_simulators_raw_is_read() -> None:
-    mosaic = read_raw(SHARED / "golden" / "bench-open" / "target_2000_0.dng", SILENT)
+    mosaic = read_photograph(SHARED / "golden" / "bench-open" / "target_2000_0.dng", SILENT)
     assert (mosaic.counts.shape, mosaic.cfa, mosaic.white) == ((240, 240), "RGGB", 16383)
     np.testing.assert_array_equal(mosaic.black, np.full((2, 2), 600))
 
@@ -275,22 +277,22 @@ def test_a_headerless_file_is_read_as_the_plan_says_and_refused_where_it_cannot_
         "black_level": 0,
         "white_level": 4095,
     }
-    mosaic = read_raw(path, Sensor.from_tables({**keys, "headerless_px": [2, 3]}))
+    mosaic = read_photograph(path, Sensor.from_tables({**keys, "headerless_px": [2, 3]}))
     np.testing.assert_array_equal(
         mosaic.counts, [[0x0201, 0x0403, 0x0605], [0x0807, 0x0A09, 0x0C0B]]
     )
     with pytest.raises(
         RawError, match=r"3 × 3 numbers of 16 bit .* are 18 bytes: it has 12"
     ):
-        read_raw(path, Sensor.from_tables({**keys, "headerless_px": [3, 3]}))
+        read_photograph(path, Sensor.from_tables({**keys, "headerless_px": [3, 3]}))
     with pytest.raises(RawError, match="no such file"):
-        read_raw(
+        read_photograph(
             tmp_path / "none.raw", Sensor.from_tables({**keys, "headerless_px": [2, 3]})
         )
     with pytest.raises(
         RawError, match=r"does not state these; add to \[sensor\]: black_level"
     ):
-        read_raw(
+        read_photograph(
             path, Sensor.from_tables({**keys, "black_level": None, "headerless_px": [2, 3]})
         )
 
@@ -305,11 +307,13 @@ def test_a_crop_of_a_real_nikon_frame_is_read(tmp_path: Path) -> None:
     sensor = Sensor(
         pixel_pitch_um=4.9, cfa_pattern="RGGB", black_level=600, white_level=15520
     )
-    mosaic = read_raw(path, sensor.model_copy(update={"headerless_px": (512, 768)}))
+    mosaic = read_photograph(path, sensor.model_copy(update={"headerless_px": (512, 768)}))
     np.testing.assert_array_equal(mosaic.counts, crop)
-    np.testing.assert_array_equal(read_raw(tmp_path / "crop.tif", sensor).counts, crop)
+    np.testing.assert_array_equal(
+        read_photograph(tmp_path / "crop.tif", sensor).counts, crop
+    )
     # two greens half a cell apart see nearly the same, and neither what red or blue see
-    light = mosaic.counts - mosaic.black_map()
+    light = mosaic.light
     r, g1, g2, b = (light[row::2, col::2] for row in range(2) for col in range(2))
     assert mosaic.pixels("G").places == ((0, 1), (1, 0))
     assert np.abs(g1 - g2).mean() < 0.5 * min(np.abs(g1 - r).mean(), np.abs(g1 - b).mean())
@@ -320,7 +324,7 @@ def test_a_crop_of_a_real_nikon_frame_is_read(tmp_path: Path) -> None:
     reason="18 MB: `make sony-raw` fetches it and runs this test",
 )
 def test_a_whole_raw_of_a_mirrorless_camera_is_read() -> None:
-    mosaic = read_raw(Path(os.environ["LABKIT_SONY_RAW"]), SILENT)
+    mosaic = read_photograph(Path(os.environ["LABKIT_SONY_RAW"]), SILENT)
     assert mosaic.camera == "SONY ILCE-7RM3"
     assert mosaic.cfa == "RGGB"
     assert mosaic.counts.shape == (3464, 5184)

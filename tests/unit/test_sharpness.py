@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from labkit.finder.sharpness import sharpest_edge_px
-from labkit.photographs.photograph import Mosaic
+from labkit.photographs.photograph import Photograph
 
 BAYER, MONO = ("RG", "GB"), ("M",)
 
@@ -19,7 +19,7 @@ def square(
     side: int = 200,
     noise: float = 40,
     white: float = 8000,
-) -> Mosaic:
+) -> Photograph:
     """A white square beside the middle of a large dark frame, its edges blurred by a Gaussian."""
     light = np.zeros((1200, 1800))
     light[300 : 300 + side, 1100 : 1100 + side] = white
@@ -27,7 +27,9 @@ def square(
     counts: NDArray[np.float64] = (
         light + 512 + np.random.default_rng(3).normal(0, noise, light.shape)
     )
-    return Mosaic(counts.clip(0).astype(np.uint16), np.full((2, 2), 512.0), 16000, pattern)
+    return Photograph(
+        counts.clip(0).astype(np.uint16), np.full((2, 2), 512.0), 16000, pattern
+    )
 
 
 @pytest.mark.parametrize("pattern", [BAYER, MONO])
@@ -56,7 +58,7 @@ def test_exposure_does_not_count() -> None:
 
 
 def test_a_flat_has_no_edge() -> None:
-    flat = Mosaic(
+    flat = Photograph(
         np.full((400, 600), 9000, np.uint16), np.full((2, 2), 512.0), 16000, BAYER
     )
     assert sharpest_edge_px(flat) is None
@@ -65,5 +67,5 @@ def test_a_flat_has_no_edge() -> None:
 @pytest.mark.parametrize("shape", [(2, 2), (3, 5), (40, 3)])
 def test_a_tiny_photograph_is_no_trouble(shape: tuple[int, int]) -> None:
     counts = np.random.default_rng(1).integers(600, 9000, shape).astype(np.uint16)
-    sharpness = sharpest_edge_px(Mosaic(counts, np.full((2, 2), 512.0), 16000, BAYER))
+    sharpness = sharpest_edge_px(Photograph(counts, np.full((2, 2), 512.0), 16000, BAYER))
     assert sharpness is None or sharpness > 0

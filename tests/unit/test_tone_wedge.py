@@ -18,7 +18,7 @@ from labkit.cli import run
 from labkit.devices.protocols import PanelInfo
 from labkit.errors import DataError, PlanError, TargetError
 from labkit.panel.picture import panel_picture
-from labkit.photographs.decoding import read_raw
+from labkit.photographs.decoding import read_photograph
 from labkit.plan import Sensor
 from labkit.target import CellTarget, open_target
 from labkit.types import Floats
@@ -86,7 +86,7 @@ def undone(tone: tone_wedge.Tone, curve: Curve, folder: Path) -> float:
     measured = tomllib.loads(tone.to_toml())["sensor"]
     stored = np.arange(256, dtype=np.uint8)
     Image.fromarray(stored[None].repeat(2, 0)).save(folder / "ramp.png")
-    mosaic = read_raw(
+    mosaic = read_photograph(
         folder / "ramp.png", Sensor.from_tables({"pixel_pitch_um": 5.0, **measured})
     )
     fine = np.linspace(0, 1, 20_001)
