@@ -76,7 +76,7 @@ class Photograph:
     @property
     def full_light(self) -> float:
         """Mean counts above black at saturation."""
-        return self.full_light
+        return self.white - float(np.mean(self.black))
 
     @property
     def saturated(self) -> Bools:
