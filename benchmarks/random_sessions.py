@@ -108,8 +108,8 @@ def draw_many_modes(
         noll=tuple(range(5, last + 1)),
         aberration_waves=waves,
     )
-    stops = np.array([-0.8, 0.0, 0.8]) + rng.uniform(-0.15, 0.15, 3)
-    drawn = _session(lens, _ranges_at(lens, best_mm, stops), "through focus", rng)
+    stations = np.array([-0.8, 0.0, 0.8]) + rng.uniform(-0.15, 0.15, 3)
+    drawn = _session(lens, _ranges_at(lens, best_mm, stations), "through focus", rng)
     return replace(drawn, plan=drawn.plan.replace(fit={"zernike_noll": (4, last)}))
 
 
@@ -276,23 +276,23 @@ def _true_ranges_mm(lens: TrueLens, sides: str, rng: np.random.Generator) -> lis
         "short": (-reach, -0.1),
         "beyond": (0.1, reach),
     }[sides]
-    stops = np.linspace(low, high, rng.integers(2, 7)) + rng.uniform(-0.05, 0.05)
-    return _ranges_at(lens, best_mm, stops)
+    stations = np.linspace(low, high, rng.integers(2, 7)) + rng.uniform(-0.05, 0.05)
+    return _ranges_at(lens, best_mm, stations)
 
 
-def _ranges_at(lens: TrueLens, best_mm: float, stops: Floats) -> list[float]:
+def _ranges_at(lens: TrueLens, best_mm: float, stations: Floats) -> list[float]:
     """Where defocus is as wanted, waves in rising order; none where that is too far from best focus for a rail."""
     near_mm, far_mm = best_mm / 1.3, best_mm * 1.3
     if (
         not _defocus(lens, near_mm, best_mm)
-        < stops[0]
-        < stops[-1]
+        < stations[0]
+        < stations[-1]
         < _defocus(lens, far_mm, best_mm)
     ):
         return []
     return [
         brentq(lambda mm, waves=waves: _defocus(lens, mm, best_mm) - waves, near_mm, far_mm)
-        for waves in stops
+        for waves in stations
     ]
 
 

@@ -31,7 +31,7 @@ display = { address = "simulated:", pixel_pitch_mm = 0.1, pixels = [400, 400] }
 """
 
 
-def focus_scan(plan: Plan, folder: Path, stops: int = 3) -> list[tuple[float, str]]:
+def focus_scan(plan: Plan, folder: Path, stations: int = 3) -> list[tuple[float, str]]:
     """Scan the plan's ranges in equal steps; (range in mm, file) of each stop. Errors are labkit's, or bluesky's."""
     assert plan.camera
     assert plan.rail
@@ -58,7 +58,7 @@ def focus_scan(plan: Plan, folder: Path, stops: int = 3) -> list[tuple[float, st
             ScanRail(bench.rail, settle_s=plan.rail.settle_s),
             ScanCamera(bench.camera, folder),
         )
-        RunEngine()(scan([camera], rail, *ends, stops), note)
+        RunEngine()(scan([camera], rail, *ends, stations), note)
     return found
 
 

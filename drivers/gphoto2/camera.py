@@ -147,7 +147,7 @@ def _has_libusb() -> bool:
 
 
 class Gphoto2Camera(ClosesItself):
-    """A Camera, Adjustable, Checkable, Candid and Previewing.
+    """A Camera, Adjustable, Checkable, SelfRecovering and Previewing.
 
     port: "usb:001,004", "ptpip:192.168.1.5", or "" for the only camera on USB; f_number: to
     set if the body allows; keep: photographs go to the card and stay there; wait: function
@@ -177,16 +177,16 @@ class Gphoto2Camera(ClosesItself):
         self._wanted: Wanted | None = None
         self._body: dict[str, Setting] = {}
         self._info: CameraInfo | None = None
-        self._overcome: list[str] = []
+        self._recovered: list[str] = []
 
     @property
     def _on_network(self) -> bool:
         return self._port.startswith("ptpip:")
 
-    def overcome(self) -> tuple[str, ...]:
+    def recovered(self) -> tuple[str, ...]:
         """Describe the faults recovered from since the last call."""
-        overcome, self._overcome = tuple(self._overcome), []
-        return overcome
+        recovered, self._recovered = tuple(self._recovered), []
+        return recovered
 
     def identify(self) -> CameraInfo:
         """Return model and serial number, after reconnecting if necessary."""
@@ -261,7 +261,7 @@ class Gphoto2Camera(ClosesItself):
             except Trouble as trouble:
                 if pause_s is None or trouble.code == UNSUPPORTED:
                     raise _error(what, trouble, attempt, self._on_network) from trouble
-                self._overcome.append(f"{what}, try {attempt}: {trouble}")
+                self._recovered.append(f"{what}, try {attempt}: {trouble}")
                 self._let_go(trouble.code, attempt)
                 self._wait(pause_s)
             finally:

@@ -66,7 +66,7 @@ class Bench:
         self.screw_mm = 0.0
         self._faults = tuple(faults)
         self._calls: Counter[str] = Counter()
-        self._stops: Counter[float] = Counter()
+        self._visits_at: Counter[float] = Counter()
         self._homings = 0
         self._homing_mm = 0.0
         self._scatter_mm = 0.0
@@ -101,8 +101,8 @@ class Bench:
 
     def stand(self, asked_mm: float) -> None:
         """Bring the carriage to rest, and draw the scatter and sideways wander of this station."""
-        self._stops[asked_mm] += 1
-        rng = self._generator("stop", f"{asked_mm:.4f}", str(self._stops[asked_mm]))
+        self._visits_at[asked_mm] += 1
+        rng = self._generator("stop", f"{asked_mm:.4f}", str(self._visits_at[asked_mm]))
         self._asked_mm = asked_mm
         self._scatter_mm = rng.normal(0, self.settings.rail.scatter_mm)
         wander = self.settings.pose.wander_px
@@ -217,7 +217,7 @@ class Bench:
         high, wide = self.settings.panel.pixels
         y_mm = (np.arange(float(high)) - (high - 1) / 2) * self.settings.panel.pitch_mm
         x_mm = (np.arange(float(wide)) - (wide - 1) / 2) * self.settings.panel.pitch_mm
-        self._evenness = self._shine(x_mm[None, :], y_mm[:, None]).astype(np.float32)
+        self._evenness = self._unevenness(x_mm[None, :], y_mm[:, None]).astype(np.float32)
         shape = (sensor.rows, sensor.cols)
         response = 1 + sensor.response_std * rng.normal(size=shape)
         bad = rng.choice(
@@ -265,7 +265,7 @@ class Bench:
         x = np.linspace(-1, 1, cols)[None, :] + 0.04
         return 1 - self.settings.lens.vignetting * (x * x + y * y) / 2
 
-    def _shine(self, x_mm: Floats, y_mm: Floats) -> Floats:
+    def _unevenness(self, x_mm: Floats, y_mm: Floats) -> Floats:
         """Return the relative brightness of the panel's places, about 1: five slow waves across the glass."""
         high, wide = (n * self.settings.panel.pitch_mm for n in self.settings.panel.pixels)
         vectors, phases = self._waves
@@ -466,7 +466,7 @@ class Bench:
         for top in range(0, rows, STRIP_ROWS):
             down = np.arange(float(top), float(min(top + STRIP_ROWS, rows)))[:, None]
             x_mm, y_mm = carry(self._from_pixels(), np.arange(float(cols))[None, :], down)
-            seen[top : top + STRIP_ROWS] = level * self._shine(x_mm, y_mm)
+            seen[top : top + STRIP_ROWS] = level * self._unevenness(x_mm, y_mm)
         return seen
 
 

@@ -145,10 +145,10 @@ def _best_focus_mm(
 
 def _rail(rail: RailSettings) -> TrueRail:
     """Return a rail that reaches every range, and a little more on either side."""
-    stops = [rail.position_mm(range_mm) for range_mm in rail.ranges_mm]
+    stations = [rail.position_mm(range_mm) for range_mm in rail.ranges_mm]
     return TrueRail(
-        low_mm=min(0.0, *stops) - 5.0,
-        high_mm=max(0.0, *stops) + 5.0,
+        low_mm=min(0.0, *stations) - 5.0,
+        high_mm=max(0.0, *stations) + 5.0,
         range_at_zero_mm=rail.range_at_zero_mm,
         direction=rail.direction,
     )

@@ -19,8 +19,8 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from labkit.files import kept_secret
 
-STRANGER_S = 5.0
-MOST_STRANGERS = 128
+UNKNOWN_CONNECTION_S = 5.0
+MOST_UNKNOWN_CONNECTIONS = 128
 LET_IN = "labkit.let_in"
 
 HEADERS = {
@@ -69,7 +69,7 @@ class Guard:
         right = hmac.compare_digest(given.encode("utf-8", "surrogateescape"), self._token)
         if not right or not self._is_us(host, scope["server"]):
             return None
-        # a browser names the page's origin with every WebSocket; to a stranger's page it lends no other
+        # a browser names the page's origin with every WebSocket; a foreign page cannot claim another
         if (
             scope["type"] == "websocket" or origin is not None
         ) and origin != f"http://{host}".encode("latin-1"):
@@ -103,21 +103,21 @@ class Connection(H11Protocol):
         """Accept an unknown connection, and close the oldest if there are too many."""
         super().connection_made(transport)
         self.since = self.loop.time()
-        strangers = [
+        unknowns = [
             other
             for other in self.connections
-            if isinstance(other, Connection) and other.is_stranger
+            if isinstance(other, Connection) and other.is_unknown
         ]
-        if len(strangers) > MOST_STRANGERS:
-            min(strangers, key=lambda stranger: stranger.since).transport.abort()
-        self.loop.call_later(STRANGER_S, self._show_out)
+        if len(unknowns) > MOST_UNKNOWN_CONNECTIONS:
+            min(unknowns, key=lambda unknown: unknown.since).transport.abort()
+        self.loop.call_later(UNKNOWN_CONNECTION_S, self._show_out)
 
     @property
-    def is_stranger(self) -> bool:
+    def is_unknown(self) -> bool:
         """Whether no request with the token has come over this open connection."""
         scope: dict[str, Any] | None = self.scope  # type: ignore[assignment]
         return not self.transport.is_closing() and (scope is None or LET_IN not in scope)
 
     def _show_out(self) -> None:
-        if self.transport.get_protocol() is self and self.is_stranger:
+        if self.transport.get_protocol() is self and self.is_unknown:
             self.transport.abort()

@@ -46,7 +46,7 @@ BLOCKS = 8
 
 
 @dataclass(frozen=True, slots=True)
-class Alone:
+class LoneCamera:
     """An open camera and its plan. planned: whether the plan states exposure and target."""
 
     camera: Camera
@@ -85,7 +85,7 @@ class FrameReport:
     by_hand: tuple[str, ...]
 
 
-def open_alone(where: str, context: DeviceContext | None = None) -> Alone:
+def open_lone_camera(where: str, context: DeviceContext | None = None) -> LoneCamera:
     """Open the camera of a plan, or at an address such as "gphoto2:".
 
     Raises PlanError, and the driver's errors.
@@ -97,7 +97,7 @@ def open_alone(where: str, context: DeviceContext | None = None) -> Alone:
         raise CameraError(
             f"plan {where} has no [camera]: add it, or give an address such as gphoto2:"
         )
-    return Alone(
+    return LoneCamera(
         open_camera(plan.camera.address, plan, context or DeviceContext()), plan, planned
     )
 
@@ -109,7 +109,7 @@ def offered(camera: Camera) -> tuple[Setting, ...]:
     return camera.settings()
 
 
-def take_test_frame(alone: Alone) -> FrameReport:
+def take_test_frame(alone: LoneCamera) -> FrameReport:
     """Take one photograph and judge it; nothing is kept. Raises the driver's errors, RawError, PlanError."""
     camera, settings = alone.camera, alone.plan.camera
     assert settings is not None
@@ -139,7 +139,7 @@ def take_test_frame(alone: Alone) -> FrameReport:
     )
 
 
-def _blur_on_target(mosaic: Photograph, alone: Alone) -> tuple[float | None, str]:
+def _blur_on_target(mosaic: Photograph, alone: LoneCamera) -> tuple[float | None, str]:
     """Return the diameter in pixels of the blur circle on the plan's target, and the search's result in words.
 
     The diameter is None if the target is not found.
@@ -156,7 +156,7 @@ def _blur_on_target(mosaic: Photograph, alone: Alone) -> tuple[float | None, str
         return None, str(error)
 
 
-def light_problem(mosaic: Photograph, alone: Alone) -> tuple[bool, str | None]:
+def light_problem(mosaic: Photograph, alone: LoneCamera) -> tuple[bool, str | None]:
     """Return whether a photograph is dark, and what is wrong with its light in the plan's channels, if anything."""
     names = _names(mosaic)
     wanted = {channel.name for channel in alone.plan.channel}

@@ -169,7 +169,7 @@ class _Capture:
         for frame in self._session.frames[:1]:
             self._first = read_photograph(frame.path, self._session.plan.sensor)
         darks = [shot for shot in todo if shot.kind == "dark"]
-        stops = list(
+        stations = list(
             dict.fromkeys(shot.range_mm for shot in todo if shot.range_mm is not None)
         )
         if darks:
@@ -180,13 +180,13 @@ class _Capture:
         if warn and (words := _drawn_otherwise(self._session.plan, target)):
             warn(words)
         if check:
-            self._look_round(target, stops, len(todo), warn)
+            self._look_round(target, stations, len(todo), warn)
         else:
             self._patient.ready()
-            if stops:
+            if stations:
                 self._patient.home()
         self._take_darks(darks)
-        for range_mm in stops:
+        for range_mm in stations:
             here = [shot for shot in todo if shot.range_mm == range_mm]
             self._patient.go_to(range_mm)
             self._take("white", [shot for shot in here if shot.kind == "flat"])
@@ -197,14 +197,16 @@ class _Capture:
     def _look_round(
         self,
         target: PanelPicture,
-        stops: list[float],
+        stations: list[float],
         frames: int,
         warn: Callable[[str], None] | None,
     ) -> None:
         """Run the preflight; finish at the capture's first range if this range is an end of the rail."""
         ends = (
-            sorted({min(stops), max(stops)}, key=lambda range_mm: range_mm == stops[0])
-            if stops
+            sorted(
+                {min(stations), max(stations)}, key=lambda range_mm: range_mm == stations[0]
+            )
+            if stations
             else []
         )
         findings = preflight(

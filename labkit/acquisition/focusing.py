@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labkit.acquisition.camera_check import Alone, light_problem
+from labkit.acquisition.camera_check import LoneCamera, light_problem
 from labkit.devices.observer import Observer, Viewer
 from labkit.devices.protocols import ExposureSettings, Previewing
 from labkit.errors import TargetError
@@ -50,7 +50,7 @@ class FocusReading:
 
 
 def focus(
-    alone: Alone,
+    alone: LoneCamera,
     observers: Sequence[Observer] = (),
     going: Callable[[], bool] = lambda: True,
 ) -> Iterator[FocusReading]:
@@ -89,7 +89,7 @@ def focus(
         yield reading
 
 
-def _read(number: int, source: str, mosaic: Photograph, alone: Alone) -> FocusReading:
+def _read(number: int, source: str, mosaic: Photograph, alone: LoneCamera) -> FocusReading:
     dark, note = light_problem(mosaic, alone)
     corners, blur, margin = (
         (None, None, None) if dark or not alone.planned else _target(mosaic, alone)
@@ -111,7 +111,7 @@ def _read(number: int, source: str, mosaic: Photograph, alone: Alone) -> FocusRe
 
 
 def _target(
-    mosaic: Photograph, alone: Alone
+    mosaic: Photograph, alone: LoneCamera
 ) -> tuple[Floats | None, float | None, float | None]:
     """Return the target's corners, its blur circle and its distance from the frame's edge, in pixels."""
     target = open_target(alone.plan.target)

@@ -11,13 +11,13 @@ from labkit.acquisition.log import CaptureLog
 from labkit.acquisition.sequence import Shot, bench_settings
 from labkit.devices.context import Devices
 from labkit.devices.protocols import (
-    Attentive,
-    Candid,
     Coverable,
     ExposureSettings,
     Picture,
+    PictureChecking,
+    PositionChecking,
     RawFrame,
-    Steadfast,
+    SelfRecovering,
 )
 from labkit.errors import DeviceError, DisplayError, RailLimitError
 from labkit.files import writing
@@ -99,7 +99,7 @@ class PatientDevices:
             meta = self.go_to(shot.range_mm)
             raw = self.photograph(picture, shot.name)
             try:
-                if isinstance(rail, Steadfast):
+                if isinstance(rail, PositionChecking):
                     rail.check_still()
                 return raw, meta
             except DeviceError as error:
@@ -114,10 +114,10 @@ class PatientDevices:
                     raise
         raise AssertionError("unreachable: the last attempt returns or raises")
 
-    def _note_overcome(self, device: str) -> None:
+    def _note_recovered(self, device: str) -> None:
         """Report faults that a device recovered from by itself."""
         of = getattr(self.devices, device)
-        for error in of.overcome() if isinstance(of, Candid) else ():
+        for error in of.recovered() if isinstance(of, SelfRecovering) else ():
             self._log.note("overcome", device=device, error=error)
 
     def photograph(self, picture: Picture, name: str) -> RawFrame:
@@ -128,7 +128,7 @@ class PatientDevices:
         display = self.devices.display
         for attempt in range(1, TRIES + 1):
             raw = self._try("camera", lambda: self._expose(name), self._ready_camera)
-            if not isinstance(display, Attentive) or self._try(
+            if not isinstance(display, PictureChecking) or self._try(
                 "display", display.undisturbed, lambda: None
             ):
                 return raw
@@ -171,12 +171,12 @@ class PatientDevices:
                 if attempt > 1:
                     recover()
                 result = action()
-                self._note_overcome(device)
+                self._note_recovered(device)
                 return result
             except RailLimitError:
                 raise
             except DeviceError as error:
-                self._note_overcome(device)
+                self._note_recovered(device)
                 self._log.note("trouble", device=device, attempt=attempt, error=str(error))
                 if attempt == TRIES:
                     raise

@@ -75,7 +75,7 @@ class Advice:
     session : standard errors of the lens from all ranges; None with fewer than two
     proposed_ranges_mm : ranges that would determine the pupil magnification, if the plan's
         do not, with proposed_std
-    told_noll : last Zernike mode up to which the nearest range's photographs determine each
+    determined_noll : last Zernike mode up to which the nearest range's photographs determine each
         mode to 0.01 waves; or 0
     nearest_mm : range where a pixel of the display spans an Airy radius; None without a
         display
@@ -89,7 +89,7 @@ class Advice:
     session: Outlook | None
     proposed_ranges_mm: tuple[float, ...]
     proposed_std: Errors
-    told_noll: int
+    determined_noll: int
     nearest_mm: float | None
     frames: int | None
     notes: tuple[str, ...]
@@ -175,7 +175,7 @@ def _advice(setup: Setup, ranges: Sequence[float], want_waves: float | None) -> 
         session=session,
         proposed_ranges_mm=proposal.ranges_mm,
         proposed_std=proposal.std,
-        told_noll=setup.told_noll(channel, min(ranges)),
+        determined_noll=setup.determined_noll(channel, min(ranges)),
         nearest_mm=_nearest_mm(setup.plan),
         frames=frames,
         notes=tuple(

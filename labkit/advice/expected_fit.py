@@ -36,7 +36,7 @@ TURN_RAD = 0.02
 SHIFT_PX = 0.3
 """Of the target: no row of pixels is parallel to a row of cells or begins with one."""
 
-TOLD_WAVES = 0.01
+DETERMINED_WAVES = 0.01
 """Standard error, waves RMS at the reference wavelength, of a mode that photographs determine."""
 
 SURROUND = 1.2
@@ -126,8 +126,8 @@ class Setup:
         one = self._of_one_photograph(optics, channel, min(side_px, WIDEST_PX), defocus)
         return one.scaled(min(1.0, WIDEST_PX / side_px) / sqrt(self.frames))
 
-    def told_noll(self, channel: Channel, range_mm: float) -> int:
-        """Return the last mode up to which one range determines each mode to `TOLD_WAVES`, all of them free.
+    def determined_noll(self, channel: Channel, range_mm: float) -> int:
+        """Return the last mode up to which one range determines each mode to `DETERMINED_WAVES`, all of them free.
 
         Modes join in the session's groups, from Noll 45 downwards; 0 if not even the plan's
         modes are determined.
@@ -137,7 +137,7 @@ class Setup:
         for last in (*reversed(lasts), usual):
             noll = tuple(range(first, last + 1))
             bound = self.fit(channel, range_mm, self.defocus(range_mm), noll).bound
-            if max(bound.std[: len(noll)]) <= TOLD_WAVES:
+            if max(bound.std[: len(noll)]) <= DETERMINED_WAVES:
                 return last
         return 0
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from labkit.advice.advise import Advice, RangeAdvice
-from labkit.advice.expected_fit import TOLD_WAVES
+from labkit.advice.expected_fit import DETERMINED_WAVES
 from labkit.advice.outlook import NUMBERS, Errors, Outlook, Proposal
 
 Rows = list[list[str]]
@@ -58,8 +58,10 @@ def session_rows(advice: Advice) -> Rows:
     if advice.proposed_ranges_mm:
         proposal = Proposal(advice.proposed_ranges_mm, advice.proposed_std)
         rows.append([f"with {proposal.what}", _in_a_line(proposal.std)])
-    told = f"to Noll {advice.told_noll}, each to {TOLD_WAVES:g} waves or better"
-    rows.append(["modes", told if advice.told_noll else f"none to {TOLD_WAVES:g} waves"])
+    told = f"to Noll {advice.determined_noll}, each to {DETERMINED_WAVES:g} waves or better"
+    rows.append(
+        ["modes", told if advice.determined_noll else f"none to {DETERMINED_WAVES:g} waves"]
+    )
     if advice.frames is not None:
         rows.append(
             [

@@ -84,10 +84,10 @@ def devices(
 def camera_settings(ctx: typer.Context, where: CameraPlace = "gphoto2:") -> None:
     """List what a camera lets be set or read."""
     perhaps_a_plan(where)
-    from labkit.acquisition.camera_check import offered, open_alone
+    from labkit.acquisition.camera_check import offered, open_lone_camera
 
     console: Console = ctx.obj
-    alone = open_alone(where)
+    alone = open_lone_camera(where)
     with alone.camera as camera:
         info, settings = camera.identify(), offered(camera)
     console.say(f"{info.model}, serial {info.serial}, {info.driver}")
@@ -109,13 +109,13 @@ def camera_test(ctx: typer.Context, where: CameraPlace = "gphoto2:") -> None:
     With a plan its display shows the target first, and the light is judged in its channels.
     """
     perhaps_a_plan(where)
-    from labkit.acquisition.camera_check import open_alone, take_test_frame
+    from labkit.acquisition.camera_check import open_lone_camera, take_test_frame
     from labkit.acquisition.sequence import shown_target
     from labkit.devices.context import DeviceContext
 
     console: Console = ctx.obj
     context = DeviceContext(show_link=console.link, warn=console.warn)
-    alone = open_alone(where, context)
+    alone = open_lone_camera(where, context)
     plan = alone.plan
     by_hand = plan.display is not None and plan.display.by_hand
     with alone.camera, nullcontext() if by_hand else shown_target(plan, context):
@@ -435,7 +435,7 @@ def rail_calibrate(
     a_plan(plan)
     from labkit.cli.questions import ask, ask_until, at_terminal
     from labkit.devices.context import DeviceContext
-    from labkit.devices.rail_calibration import find_zero, measure, read_range, stops
+    from labkit.devices.rail_calibration import find_zero, measure, read_range, stations
     from labkit.devices.registry import open_rail
     from labkit.plan import Plan
 
@@ -444,7 +444,7 @@ def rail_calibrate(
     if wanted.rail is None:
         raise PlanError("the plan has no [rail]")
     with open_rail(wanted.rail.address, wanted, DeviceContext()) as rail:
-        places = stops(rail.travel_mm, at or [])
+        places = stations(rail.travel_mm, at or [])
         ask(
             f"The rail will home and then move to {', '.join(f'{mm:g}' for mm in places)} mm. Clear its way, press Enter"
         )

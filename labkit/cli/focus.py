@@ -16,7 +16,7 @@ from labkit.cli.paths import perhaps_a_plan
 from labkit.errors import PlanError
 
 if TYPE_CHECKING:
-    from labkit.acquisition.camera_check import Alone
+    from labkit.acquisition.camera_check import LoneCamera
     from labkit.acquisition.focusing import FocusReading
     from labkit.devices.context import DeviceContext
 
@@ -60,7 +60,7 @@ def camera_focus(
 ) -> None:
     """Photograph on and on, to focus by. Sharpness, clipping, the target's outline, until Ctrl-C; nothing is kept."""
     perhaps_a_plan(where)
-    from labkit.acquisition.camera_check import open_alone
+    from labkit.acquisition.camera_check import open_lone_camera
     from labkit.acquisition.focusing import focus
     from labkit.devices.context import DeviceContext
     from labkit.devices.operator import Operator
@@ -72,7 +72,7 @@ def camera_focus(
     )
     readings: list[FocusReading] = []
     with ExitStack() as stack:
-        alone = open_alone(where, context)
+        alone = open_lone_camera(where, context)
         stack.enter_context(alone.camera)
         if monitor or listen:
             page = stack.enter_context(
@@ -88,7 +88,7 @@ def camera_focus(
 
 
 def _set_up(
-    alone: Alone, range_mm: float | None, context: DeviceContext, stack: ExitStack
+    alone: LoneCamera, range_mm: float | None, context: DeviceContext, stack: ExitStack
 ) -> Sequence[object]:
     """Show the plan's target and move its rail, if the plan has them; return the opened devices."""
     from labkit.acquisition.sequence import shown_target

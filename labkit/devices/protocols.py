@@ -134,10 +134,10 @@ class Camera(AbstractContextManager["Camera"], Protocol):
 
 
 @runtime_checkable
-class Candid(Protocol):
+class SelfRecovering(Protocol):
     """A device that recovers from faults by itself, and reports them."""
 
-    def overcome(self) -> tuple[str, ...]:
+    def recovered(self) -> tuple[str, ...]:
         """Describe the faults recovered from since the last call."""
         ...
 
@@ -204,7 +204,7 @@ class Rail(AbstractContextManager["Rail"], Protocol):
 
 
 @runtime_checkable
-class Steadfast(Protocol):
+class PositionChecking(Protocol):
     """A rail that can detect whether it was moved."""
 
     def check_still(self) -> None:
@@ -226,7 +226,7 @@ class Controller(Protocol):
 
 
 @runtime_checkable
-class Timekeeper(Protocol):
+class SimulatedTime(Protocol):
     """A device with simulated time: a wait beside the device lets this time pass."""
 
     def wait(self, seconds: float) -> None:
@@ -268,7 +268,7 @@ class SeesDisplay(Protocol):
 
 
 @runtime_checkable
-class Attentive(Protocol):
+class PictureChecking(Protocol):
     """A display that can lose its picture during an exposure, and detects the loss."""
 
     def undisturbed(self) -> bool:

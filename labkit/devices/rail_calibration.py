@@ -37,7 +37,7 @@ class RailZero:
     misfit_mm: tuple[float, ...]
 
 
-def stops(travel: Travel, asked_mm: Sequence[float]) -> tuple[float, ...]:
+def stations(travel: Travel, asked_mm: Sequence[float]) -> tuple[float, ...]:
     """Return positions to measure at. Raises PlanError for fewer than two, or outside the travel."""
     if asked_mm:
         if len(set(asked_mm)) < 2:

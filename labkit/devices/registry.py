@@ -27,7 +27,7 @@ from labkit.devices.protocols import (
     Display,
     Rail,
     SeesDisplay,
-    Timekeeper,
+    SimulatedTime,
 )
 from labkit.errors import PlanError
 from labkit.plan import Plan
@@ -151,7 +151,7 @@ def open_devices(
         for page in observers:
             if isinstance(page, AnswerPage):
                 stack.enter_context(context.operator.reached_by(page))
-        waits = [device.wait for device in devices if isinstance(device, Timekeeper)]
+        waits = [device.wait for device in devices if isinstance(device, SimulatedTime)]
         yield Devices(camera, rail, display, waits[0] if waits else time.sleep, observers)
 
 

@@ -101,11 +101,11 @@ def test_an_answer_to_no_open_question_does_nothing(
             pass
         wire.send('{"answer": 0, "text": "of another"}')
         wire.send('{"answer": 2, "text": "of the next"}')
-        with page(lab, "monitor") as stranger:
-            stranger.send('{"answer": 1, "text": "\\u001b]0;"}')
+        with page(lab, "monitor") as unknown:
+            unknown.send('{"answer": 1, "text": "\\u001b]0;"}')
             with pytest.raises(ConnectionClosed):
                 collections.deque(
-                    (stranger.recv(timeout=WAIT_S) for _ in itertools.count()), maxlen=0
+                    (unknown.recv(timeout=WAIT_S) for _ in itertools.count()), maxlen=0
                 )
         assert asking.is_alive()
         wire.send('{"answer": 1, "text": "150"}')
@@ -124,7 +124,7 @@ def test_a_thousand_silent_connections_stop_nothing(lab: Lab, display: WebDispla
             for one in lab.server._server.server_state.connections
             if isinstance(one, access.Connection)
         ]
-        assert len(held) <= access.MOST_STRANGERS + 20
+        assert len(held) <= access.MOST_UNKNOWN_CONNECTIONS + 20
 
 
 @pytest.mark.parametrize(
@@ -140,7 +140,7 @@ def test_a_thousand_silent_connections_stop_nothing(lab: Lab, display: WebDispla
 def test_a_slow_stranger_is_shown_out(
     start: bytes, lab: Lab, display: WebDisplay, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(access, "STRANGER_S", 0.3)
+    monkeypatch.setattr(access, "UNKNOWN_CONNECTION_S", 0.3)
     with dial(lab) as wire:
         wire.sendall(start)
         answer = b""

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from labkit.acquisition.camera_check import Alone
+from labkit.acquisition.camera_check import LoneCamera
 from labkit.acquisition.focusing import FRAME, LIVE_VIEW, FocusReading, focus
 from labkit.acquisition.sequence import picture_for
 from labkit.cli import run
@@ -50,7 +50,7 @@ class Watcher:
         self.looks.append(look)
 
 
-def first(alone: Alone, frames: int, watcher: Watcher) -> list[FocusReading]:
+def first(alone: LoneCamera, frames: int, watcher: Watcher) -> list[FocusReading]:
     return list(focus(alone, [watcher], lambda: len(watcher.looks) < frames))
 
 
@@ -64,7 +64,7 @@ def test_the_target_is_found_and_outlined_on_the_simulated_bench(
 ) -> None:
     watcher, plan = Watcher(), Plan.load(plan_file)
     with open_devices(plan, context=make_context(plan_file)) as devices:
-        alone = Alone(devices.camera, plan, planned=True)
+        alone = LoneCamera(devices.camera, plan, planned=True)
         (dark,) = first(alone, 1, watcher)
         devices.rail.home()
         devices.rail.move_to(50.0)
@@ -110,7 +110,7 @@ class LiveView:
 
 def test_the_live_view_is_taken_where_there_is_one(plan_file: Path) -> None:
     camera: Camera = LiveView([20.0, 10.0, 5.0])  # type: ignore[assignment]
-    readings = first(Alone(camera, Plan.load(plan_file), planned=False), 3, Watcher())
+    readings = first(LoneCamera(camera, Plan.load(plan_file), planned=False), 3, Watcher())
     assert {reading.source for reading in readings} == {LIVE_VIEW}
     edges = [reading.edge_px or 0.0 for reading in readings]
     assert edges == sorted(edges, reverse=True)

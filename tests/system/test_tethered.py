@@ -75,8 +75,8 @@ class CameraOnTheBench:
     def configure(self, settings: ExposureSettings) -> None:
         self._camera.configure(settings)
 
-    def overcome(self) -> tuple[str, ...]:
-        return self._camera.overcome()
+    def recovered(self) -> tuple[str, ...]:
+        return self._camera.recovered()
 
     def check(self, frames: int) -> Check:
         return self._camera.check(frames)
@@ -214,9 +214,9 @@ def test_trouble_that_the_camera_gets_over_by_itself_stands_in_the_journal(
         plan_file, tmp_path / "s", make_context(plan_file), photograph, fault=fault
     )
     assert len(session.frames) == 11
-    overcome = [event for event in session.events if event["event"] == "overcome"]
-    assert [event["device"] for event in overcome] == ["camera"]
-    assert re.match(r"photographing \w+, try 1: ", overcome[0]["error"])
+    recovered = [event for event in session.events if event["event"] == "overcome"]
+    assert [event["device"] for event in recovered] == ["camera"]
+    assert re.match(r"photographing \w+, try 1: ", recovered[0]["error"])
     assert not [event for event in session.events if event["event"] == "trouble"]
 
 

@@ -356,7 +356,7 @@ def test_modes_are_told_as_far_as_the_light_reaches(
 ) -> None:
     """The bound of all modes up to the last one keeps to 0.01 waves, that of the next group does not."""
     advice = advise(plan, ranges_mm=[3200.0], electrons=electrons)
-    assert advice.told_noll == last
+    assert advice.determined_noll == last
     setup = Setup.of(plan, [3200.0], electrons)
     for end in (15, *(group.last for group in GROUPS.values())):
         noll = tuple(range(4, end + 1))

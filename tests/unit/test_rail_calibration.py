@@ -9,7 +9,7 @@ from labkit.devices.rail_calibration import (
     measure,
     misfitting,
     read_range,
-    stops,
+    stations,
 )
 from labkit.errors import DataError, PlanError
 
@@ -61,8 +61,8 @@ def test_readings_that_tell_no_zero_are_refused(
 
 
 def test_measured_places_lie_along_the_travel_or_where_asked() -> None:
-    assert stops(Travel(0, 300), []) == (30, 150, 270)
-    assert stops(Travel(0, 300), [5, 200]) == (5, 200)
+    assert stations(Travel(0, 300), []) == (30, 150, 270)
+    assert stations(Travel(0, 300), [5, 200]) == (5, 200)
 
 
 @pytest.mark.parametrize(
@@ -77,7 +77,7 @@ def test_places_that_cannot_be_measured_at_are_refused(
     travel: Travel, asked: list[float], words: str
 ) -> None:
     with pytest.raises(PlanError, match=words):
-        stops(travel, asked)
+        stations(travel, asked)
 
 
 @pytest.mark.parametrize(

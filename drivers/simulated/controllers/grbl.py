@@ -41,9 +41,9 @@ def simulated_port(address: str, plan: Plan, context: DeviceContext) -> PtyPort:
     any.
     """
     rail = rail_of(address, plan)
-    stops_mm = [rail.position_mm(range_mm) for range_mm in rail.ranges_mm]
-    zero_at_home = min(stops_mm) >= 0
-    reach_mm = max(abs(mm) for mm in stops_mm) + 10.0 + rail.run_up_mm
+    stations_mm = [rail.position_mm(range_mm) for range_mm in rail.ranges_mm]
+    zero_at_home = min(stations_mm) >= 0
+    reach_mm = max(abs(mm) for mm in stations_mm) + 10.0 + rail.run_up_mm
     port = grbl_port(
         settings={130: reach_mm, 131: reach_mm, 132: reach_mm},
         options="VZ" if zero_at_home else "V",

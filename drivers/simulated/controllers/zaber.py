@@ -203,8 +203,8 @@ def simulated_port(address: str, plan: Plan, context: DeviceContext) -> PtyPort:
     rail = rail_of(address, plan)
     assert rail.microstep_um is not None  # the driver has refused a plan without it
     microstep_mm = rail.microstep_um * 1e-3
-    stops_mm = [rail.position_mm(range_mm) for range_mm in rail.ranges_mm]
-    reach = round((max(*stops_mm, 50.0) + 10.0) / microstep_mm)
+    stations_mm = [rail.position_mm(range_mm) for range_mm in rail.ranges_mm]
+    reach = round((max(*stations_mm, 50.0) + 10.0) / microstep_mm)
     controller = ZaberController(reach, speed=50.0 / microstep_mm, carriage=reach // 5)
     carry = carrying(context)
     controller.moved = lambda carriage: carry(carriage * microstep_mm)
