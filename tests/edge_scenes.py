@@ -17,7 +17,7 @@ from tests.plans import plan_text
 NOLL = (4, 5, 6, 7, 8, 11)
 MODES = np.array([0.03, -0.04, 0.02, 0.03, 0.05])
 FOCUS_MM, FOCAL_MM, F_NUMBER, NM = 2000.0, 50.0, 8.0, 550.0
-CONE = F_NUMBER * (1 + FOCAL_MM / (FOCUS_MM - FOCAL_MM))
+WORKING_F_NUMBER = F_NUMBER * (1 + FOCAL_MM / (FOCUS_MM - FOCAL_MM))
 SIDE = 40  # of an edge's square, pixels
 GAIN, READ, BLACK = 0.5, 2.0, 500
 TABLES = {
@@ -43,7 +43,7 @@ def true_defocus(range_mm: float) -> float:
 
 def square(range_mm: float, angle: float) -> Floats:
     """(SIDE, SIDE) mean counts of an edge."""
-    camera = EdgeCamera(NM * 1e-3, CONE, 4.78, frame=SIDE, finer=4, reach_px=40)
+    camera = EdgeCamera(NM * 1e-3, WORKING_F_NUMBER, 4.78, frame=SIDE, finer=4, reach_px=40)
     waves = np.concatenate([[true_defocus(range_mm)], MODES])
     return camera.mean(angle, 0.6, (1000.0, 6000.0), waves, NOLL)
 
@@ -71,7 +71,7 @@ def lens_results(**lens: float) -> Results:
         channel="M",
         wavelength_nm=NM,
         reference_wavelength_nm=NM,
-        f_number=CONE,
+        f_number=WORKING_F_NUMBER,
         noll=NOLL,
         waves=waves,
         covariance=0.002**2 * np.eye(len(NOLL)),

@@ -19,7 +19,7 @@ from labkit.uncertain import Uncertain
 
 REFERENCE_MM = 450e-6
 COLOURS = ("R", "G", "B")
-DEFOCUS_STD, CONE_STD, SIZE_STD = 3e-4, 4e-3, 1.5e-5
+DEFOCUS_STD, F_NUMBER_STD, SIZE_STD = 3e-4, 4e-3, 1.5e-5
 """Of one fit, physics.md §15: waves with the cone known; relative errors of cone and size."""
 MODE_STD = 1e-3
 """Of a mode above defocus, waves RMS."""
@@ -49,7 +49,7 @@ def laws(
 def covariance(waves: float, *, size_std: float = SIZE_STD) -> Floats:
     """(3, 3) of defocus, ln cone, ln scale of one fit: defocus times cone is known better than either."""
     slope = np.array([-waves, 1.0, 0.0])
-    return np.diag([DEFOCUS_STD**2, 0.0, size_std**2]) + CONE_STD**2 * np.outer(
+    return np.diag([DEFOCUS_STD**2, 0.0, size_std**2]) + F_NUMBER_STD**2 * np.outer(
         slope, slope
     )
 

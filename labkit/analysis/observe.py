@@ -28,7 +28,7 @@ from labkit.finder.cut import cut_around, sees_target_only
 from labkit.finder.find_target import find_target, grey_image
 from labkit.finder.surround import surround_level
 from labkit.findings import Finding, each_once, found
-from labkit.imaging.shine import Shine
+from labkit.imaging.brightness import Brightness
 from labkit.imaging.warp import Pose
 from labkit.key import same_range
 from labkit.optics.lens import ThinLens, ground_sample_mm
@@ -286,7 +286,9 @@ def _frame_data(
     )
     if not calibration.light_known:
         return replace(frame, departures=low_orders(*used.shape))
-    return replace(frame, shine=Shine.seen(data.illumination / data.falloff, used))
+    return replace(
+        frame, brightness=Brightness.fitted(data.illumination / data.falloff, used)
+    )
 
 
 def _measured(group: Sequence[Frame]) -> float | None:

@@ -11,12 +11,12 @@ from labkit.estimation.candidate import mostly_unexplained
 from labkit.estimation.estimate import Estimate, LocalFit
 from labkit.estimation.findings import two_camps
 from labkit.estimation.laws import (
-    CONE,
     F_NUMBER,
     FOCAL_LENGTH,
     MAGNIFICATION,
     RANGE_ZERO,
     WAVELENGTH,
+    WORKING_F_NUMBER,
 )
 from labkit.estimation.lens_fit import LensFit
 from labkit.estimation.local import residuals
@@ -300,7 +300,7 @@ def _lens_findings(lens: LensFit) -> Iterator[Finding]:
     if not lens.model.laws.paraxial:
         yield found(
             "cones-contradict-one-lens",
-            cone_relative_error=float(np.expm1(lens.value(CONE))),
+            cone_relative_error=float(np.expm1(lens.value(WORKING_F_NUMBER))),
         )
     if not lens.model.laws.shared:
         yield found(

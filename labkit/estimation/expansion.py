@@ -215,7 +215,7 @@ class Expansion:
         return self.moved(step), self.optics_after(step)
 
 
-def free_cone(problem: Problem, start: Start, f_number_std: float) -> Freed:
+def free_f_number(problem: Problem, start: Start, f_number_std: float) -> Freed:
     """Climb by Newton's steps to a nearby optimum over all parameters, working f-number and camera parts included.
 
     A step that leads down is halved. The first step uses rough slopes, later steps use exact ones. The image after the last
@@ -320,7 +320,10 @@ def with_optics_about(model: ForwardModel, optics: Optics, state: State) -> Forw
         return model.with_optics(optics)
     except ValueError:
         return model.rebuilt(
-            optics, state.poses[0], waves=state.waves, cone_margin=SETTINGS.cone_margin
+            optics,
+            state.poses[0],
+            waves=state.waves,
+            f_number_margin=SETTINGS.f_number_margin,
         )
 
 
@@ -330,7 +333,10 @@ def _wide_enough(problem: Problem, start: Start) -> tuple[Problem, Start]:
     if model.window_airy >= SETTINGS.narrow_window * model.optics.window_airy(state.waves):
         return problem, start
     wider = model.rebuilt(
-        model.optics, state.poses[0], waves=state.waves, cone_margin=SETTINGS.cone_margin
+        model.optics,
+        state.poses[0],
+        waves=state.waves,
+        f_number_margin=SETTINGS.f_number_margin,
     )
     return replace(problem, model=wider), Start(state)
 
@@ -371,15 +377,15 @@ def _assembled(
 ) -> tuple[Floats, Floats]:
     """Return gradient (p,) and information (p, p), the unknown part of the target's own light at its likeliest value."""
     shining = [
-        replace(e, by_waves=np.concatenate([e.by_waves, e.by_shine]))
+        replace(e, by_waves=np.concatenate([e.by_waves, e.by_brightness]))
         for e in evaluations
-        if len(e.by_shine)
+        if len(e.by_brightness)
     ]
     gradient, information, _ = problem.assembled(state, shining or evaluations)
     if not shining:
         return gradient, information
     first = len(evaluations[0].by_waves)
-    out = np.arange(first, first + len(evaluations[0].by_shine))
+    out = np.arange(first, first + len(evaluations[0].by_brightness))
     rest = np.delete(np.arange(len(gradient)), out)
     across = information[np.ix_(out, rest)]
     known = np.linalg.solve(

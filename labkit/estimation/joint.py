@@ -213,7 +213,7 @@ def problem_at(leg: Leg, optics: Optics, state: State) -> Problem:
         views.frames[0].counts.shape,
         state.poses[0],
         window_airy=max(WINDOW_AIRY, optics.window_airy(state.waves)),
-        shine=views.frames[0].shine,
+        brightness=views.frames[0].brightness,
     )
     return Problem(model, views.frames, views.noise)
 

@@ -17,7 +17,7 @@ HOMING = "homing"
 STEPS = "steps"
 SIZE = "target size"
 PITCH = "pixel pitch"
-CONE = "cone"
+WORKING_F_NUMBER = "cone"
 FOCUS = "best focus"
 AXIAL_COLOUR = "axial colour"
 LATERAL_COLOUR = "lateral colour"
@@ -67,23 +67,23 @@ class Laws:
     ----------
     mode_scatter : of each mode except defocus from range to range, waves RMS
     defocus_scatter : of each observation's defocus, waves RMS
-    cone_std : relative, of the working f-number that follows from the lens's conjugates, common to all observations
-    cone_scatter : relative, of each observation's working f-number
+    f_number_std : relative, of the working f-number that follows from the lens's conjugates, common to all observations
+    f_number_scatter : relative, of each observation's working f-number
     size_scatter : relative, of each observation's size
     mistaken : column whose stated number is a mistake
     """
 
     mode_scatter: float = 0.0
     defocus_scatter: float = SETTINGS.defocus_floor_waves
-    cone_std: float = 0.0
-    cone_scatter: float = 0.0
+    f_number_std: float = 0.0
+    f_number_scatter: float = 0.0
     size_scatter: float = SETTINGS.size_floor
     mistaken: Place | None = None
 
     @property
     def paraxial(self) -> bool:
         """Whether working f-numbers and sizes follow from one lens that is focused as a whole."""
-        return self.cone_std == 0
+        return self.f_number_std == 0
 
     @property
     def shared(self) -> bool:
@@ -97,7 +97,7 @@ class Laws:
         If the lens's modes differ, defocus still follows its law. If the model of the frames is incomplete, defocus scatters
         as the modes do.
         """
-        free = cls(cone_std=SETTINGS.loose, size_scatter=SETTINGS.loose)
+        free = cls(f_number_std=SETTINGS.loose, size_scatter=SETTINGS.loose)
         yield free
         for scatter in SETTINGS.mode_scatter_waves:
             yield cls(mode_scatter=scatter)
@@ -116,6 +116,6 @@ class Laws:
             self,
             mode_scatter=float(np.hypot(self.mode_scatter, SETTINGS.rough)),
             defocus_scatter=float(np.hypot(self.defocus_scatter, SETTINGS.rough)),
-            cone_scatter=float(np.hypot(self.cone_scatter, SETTINGS.rough)),
+            f_number_scatter=float(np.hypot(self.f_number_scatter, SETTINGS.rough)),
             size_scatter=float(np.hypot(self.size_scatter, SETTINGS.rough)),
         )

@@ -10,7 +10,13 @@ import numpy as np
 from scipy.special import chdtrc
 
 from labkit.estimation.block_solve import Data, LeastSquares, Point, quadratic, solve
-from labkit.estimation.laws import CONE, GEOMETRY, LATERAL_COLOUR, OPEN, WAVELENGTH
+from labkit.estimation.laws import (
+    GEOMETRY,
+    LATERAL_COLOUR,
+    OPEN,
+    WAVELENGTH,
+    WORKING_F_NUMBER,
+)
 from labkit.estimation.lens_model import LensModel
 from labkit.estimation.settings import SETTINGS
 from labkit.optics.known_bias import covariance_with_bias
@@ -216,7 +222,7 @@ class LensFit:
         value = model.true(point.theta, point.own)[k]
         whole = self._at(k, slopes)
         if not model.laws.paraxial:
-            whole = covariance_with_bias(whole, self._by_cone(value))
+            whole = covariance_with_bias(whole, self._by_f_number(value))
         if model.laws.shared:
             return value, whole
         scatter = np.zeros(model.values)
@@ -228,13 +234,13 @@ class LensFit:
         value = value + pull @ (self.measured.values[k] - self.solved.predicted[k])
         return value, left @ whole @ left.T + left @ np.diag(scatter)
 
-    def _by_cone(self, value: Floats) -> Floats:
+    def _by_f_number(self, value: Floats) -> Floats:
         """Return the change of values (values,) if all cones are off because all wavelengths are: see `LensModel.predicted`."""
         modes = len(self.model.noll)
         change = np.zeros(len(value))
         change[:modes] = -value[:modes]
         change[-2] = 1.0
-        return change * self.value(CONE)
+        return change * self.value(WORKING_F_NUMBER)
 
     def _at(self, k: int, slopes: Floats) -> Floats:
         """Return the covariance (values, values) of a prediction of observation k with derivatives (1, values, columns)."""
@@ -277,7 +283,7 @@ class LensFit:
             "model": surplus
             + float(scatter[:-1].sum())
             + share.get(WAVELENGTH, 0.0)
-            + share.get(CONE, 0.0),
+            + share.get(WORKING_F_NUMBER, 0.0),
         }
         shares["model"] += float(self.errors_of(gradient[None])[0, 0]) - sum(
             shares.values()

@@ -19,7 +19,6 @@ from labkit.estimation.candidate import Reading
 from labkit.estimation.laws import (
     AXIAL_COLOUR,
     COMMON_MODE,
-    CONE,
     F_NUMBER,
     FOCAL_LENGTH,
     FOCUS,
@@ -34,6 +33,7 @@ from labkit.estimation.laws import (
     SIZE,
     STEPS,
     WAVELENGTH,
+    WORKING_F_NUMBER,
     Column,
     Laws,
     Name,
@@ -212,7 +212,7 @@ class LensModel:
         variance = np.zeros(self.values)
         variance[: len(self.noll)] = self.laws.mode_scatter**2
         variance[self.defocus] = self.laws.defocus_scatter**2
-        variance[-2] = self.laws.cone_scatter**2
+        variance[-2] = self.laws.f_number_scatter**2
         variance[-1] = self.laws.size_scatter**2
         return variance
 
@@ -329,7 +329,7 @@ class LensModel:
         yield Column(MAGNIFICATION, (), 0.0, USUAL_LOG_MAGNIFICATION, 0.1)
         yield Column(RANGE_ZERO, (), 0.0, stated.range_zero_std_mm, 1e-3 * far)
         yield Column(SIZE, (), 0.0, float(np.hypot(stated.size_std, self.tilt_std)), 1e-4)
-        yield Column(CONE, (), 0.0, self.laws.cone_std, 1e-2)
+        yield Column(WORKING_F_NUMBER, (), 0.0, self.laws.f_number_std, 1e-2)
         homings = sorted(
             {homing for reading in self.readings for homing in reading.homings}
         )
@@ -386,7 +386,7 @@ class LensModel:
     def _linear(self, channel: str) -> Floats:
         """Return derivatives (values, columns) of the linear part of a channel's observations."""
         rows = np.zeros((self.values, len(self.columns)))
-        rows[-2, self.index(CONE)] = 1.0
+        rows[-2, self.index(WORKING_F_NUMBER)] = 1.0
         rows[-1, self.index(SIZE)] = 1.0
         if channel != self.reference:
             rows[-1, self.index(LATERAL_COLOUR, channel)] = 1.0

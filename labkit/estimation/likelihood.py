@@ -16,8 +16,8 @@ from functools import cached_property
 import numpy as np
 
 from labkit.arrays import mask_array, real_array
+from labkit.imaging.brightness import Brightness
 from labkit.imaging.model import Evaluation
-from labkit.imaging.shine import Shine
 from labkit.types import Bools, Floats
 
 
@@ -138,7 +138,7 @@ class FrameData:
     relative_std : (rows, columns) relative standard deviation of V
     departures : (k, rows, columns) low orders P, see `low_orders`; empty if flats determine V
     rounding : (rows, columns) variance of rounding, counts^2; empty if the read noise includes rounding
-    shine : part of V that belongs to the target and is blurred with the target; None if unknown
+    brightness : part of V that belongs to the target and is blurred with the target; None if unknown
 
     Raises
     ------
@@ -151,7 +151,7 @@ class FrameData:
     relative_std: Floats
     departures: Floats = field(default_factory=lambda: np.empty((0, 0, 0)))
     rounding: Floats = field(default_factory=lambda: np.empty((0, 0)))
-    shine: Shine | None = None
+    brightness: Brightness | None = None
 
     def __post_init__(self) -> None:
         if np.ndim(self.counts) != 2:

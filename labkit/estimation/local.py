@@ -11,7 +11,7 @@ import numpy as np
 from labkit.estimation import starts
 from labkit.estimation.candidate import Candidate, Measured
 from labkit.estimation.climb import NoisePrior, Problem, Start, State, maximize
-from labkit.estimation.expansion import Freed, free_cone
+from labkit.estimation.expansion import Freed, free_f_number
 from labkit.estimation.likelihood import FrameData, predict
 from labkit.estimation.residuals import Verdict, judge, residual_spectrum
 from labkit.estimation.scores import ScoreTest, score_tests, twin_scores
@@ -278,14 +278,14 @@ class _Search:
         seed: int | Sequence[int],
     ) -> _Search:
         frame, pose = views.frames[0], views.poses[0]
-        cone_margin = SETTINGS.cone_margin if guesses.f_number_std else 0.0
+        f_number_margin = SETTINGS.f_number_margin if guesses.f_number_std else 0.0
         model = ForwardModel.build(
             optics,
             target,
             frame.counts.shape,
             pose,
-            cone_margin=cone_margin,
-            shine=frame.shine,
+            f_number_margin=f_number_margin,
+            brightness=frame.brightness,
         )
         sketched = Sketches(
             optics.in_one_wavelength(), target, frame, pose, views.noise, seed
@@ -325,12 +325,12 @@ class _Search:
             if len(state.poses) == len(self.views.poses) > 1
             else self._all_frames(state)
         )
-        freed = free_cone(self.whole, Start(begin), self.guesses.f_number_std)
+        freed = free_f_number(self.whole, Start(begin), self.guesses.f_number_std)
         ended = freed.solution
         # steps that still gain after all rounds have a poor model to go by: they are not repeated
         if not ended.converged and ended.steps < SETTINGS.newton_rounds:
             near = maximize(self.whole, begin, exact=False)
-            freed = free_cone(
+            freed = free_f_number(
                 self.whole, near.begun or Start(near.state), self.guesses.f_number_std
             )
         return freed

@@ -59,7 +59,7 @@ class Refits:
                 .with_named(begin.optics.camera_labels, begin.optics.camera_parameters)
             )
             state = with_modes(begin.state, begin.optics, optics)
-            guess = Guesses(SETTINGS.shared_cone_std, state=state, deep=False)
+            guess = Guesses(SETTINGS.shared_f_number_std, state=state, deep=False)
             wanted[k] = optics, with_tests(guess, optics, self.plan) if score else guess
         if not wanted:
             return {}

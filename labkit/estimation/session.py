@@ -18,7 +18,7 @@ from labkit.estimation.refits import Refits, with_tests
 from labkit.estimation.searches import Searches
 from labkit.estimation.select import OUT, Selection, exact_lens, poor_model, select
 from labkit.estimation.settings import SETTINGS
-from labkit.estimation.stated import Stated, engraved_cone, optics_of, wanted_parts
+from labkit.estimation.stated import Stated, nominal_f_number, optics_of, wanted_parts
 from labkit.execute import Run
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
@@ -98,7 +98,7 @@ class _Loop:
         ]
         ranges = [r for o in self.observations if (r := o.measured_range_mm) is not None]
         self.alone = len({self.observations[k].measured_range_mm for k in self.ranged}) < 2
-        self.engraved_cone = engraved_cone(self.plan, ranges)
+        self.nominal_f_number = nominal_f_number(self.plan, ranges)
         self.refits = Refits(self.search, self.plan)
         self.camera = CameraChoice(self._with_parts, Parts(wanted_parts(self.plan)))
 
@@ -181,7 +181,7 @@ class _Loop:
         return list(self.found)
 
     def _from_nothing(self, *, deep: bool) -> Guesses:
-        cone = self.engraved_cone
+        cone = self.nominal_f_number
         return Guesses(
             cone.std / cone.value,
             deep=deep or self.alone,
@@ -279,9 +279,9 @@ class _Loop:
     ) -> Guesses:
         unknown = self._from_nothing(deep=False)
         known = self._clearest().verdict.accepted
-        cone_std = SETTINGS.shared_cone_std if known else unknown.f_number_std
+        f_number_std = SETTINGS.shared_f_number_std if known else unknown.f_number_std
         return replace(
-            unknown, f_number_std=cone_std, starts=starts, poses=poses, modes=modes
+            unknown, f_number_std=f_number_std, starts=starts, poses=poses, modes=modes
         )
 
     # fits
@@ -307,7 +307,7 @@ class _Loop:
         observation = self.observations[k]
         optics = optics_of(self.plan, observation.channel).with_parts(self.parts).begun()
         if not self.found:
-            return replace(optics, f_number=self.engraved_cone.value)
+            return replace(optics, f_number=self.nominal_f_number.value)
         if selection is not None and k in self.ranged:
             predicted, _ = selection.lens.predictions
             return optics.with_named(

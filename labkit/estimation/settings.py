@@ -60,7 +60,7 @@ class Settings:
     """Standard errors: the picture after a shorter last step is predicted from slopes, not drawn."""
     newton_rounds: int = 12
     """Largest number of Newton's steps: six suffice for an f-number off by 12 %, two or three for 3 %."""
-    cone_margin: float = 0.06
+    f_number_margin: float = 0.06
     """Relative change of the f-number, two standard errors of an engraving, that a model allows without being rebuilt."""
     narrow_window: float = 0.8
     """Least share of a wavefront's required window: twice as much light falls outside a smaller window."""
@@ -135,7 +135,7 @@ class Settings:
     modes below which an optimum agrees with its prediction: wrong optima are farther away."""
     other_optimum_waves: float = 0.01
     """RMS over the modes: a smaller difference is no other optimum."""
-    shared_cone_std: float = 0.01
+    shared_f_number_std: float = 0.01
     """Relative error of a working f-number that other frames of the session measured."""
 
 

@@ -93,7 +93,7 @@ def wanted_parts(plan: Plan) -> list[str]:
     )
 
 
-def engraved_cone(plan: Plan, ranges_mm: Sequence[float]) -> Uncertain:
+def nominal_f_number(plan: Plan, ranges_mm: Sequence[float]) -> Uncertain:
     """Return the working f-number, by the engraving, of a lens focused on the mean of some ranges.
 
     The standard error includes the unknown pupil magnification.

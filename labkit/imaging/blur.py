@@ -193,7 +193,7 @@ class Blur:
         faded *= self._fading.astype(departure.dtype)[:, None]
         return self.torus.half_spectrum_of_window(faded, self._finer)
 
-    def by_cone(self, waves: Floats) -> Complexes64:
+    def by_f_number(self, waves: Floats) -> Complexes64:
         """Return the half plane of the transfer function's derivative by ln N, in single precision.
 
         N is the working f-number; the modes stay constant in waves.

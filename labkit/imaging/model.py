@@ -10,11 +10,11 @@ import scipy.fft
 
 from labkit.arrays import mask_array
 from labkit.imaging.blur import Blur
+from labkit.imaging.brightness import Brightness
 from labkit.imaging.grid import Torus
 from labkit.imaging.halo import guards, wrapped_light
 from labkit.imaging.optics import Optics
 from labkit.imaging.scene import Drawing, Scene
-from labkit.imaging.shine import Shine
 from labkit.imaging.warp import POSE_SIZE, Pose
 from labkit.imaging.window import WINDOW_AIRY
 from labkit.optics.psf import Pupil
@@ -47,13 +47,14 @@ class Evaluation:
     mean : (pixels,)
     by_waves : (modes, pixels), followed by derivatives by `Optics.camera_parameters` if requested
     by_pose : (8, pixels)
-    by_shine : (2, pixels), by the light that may be due to the lens or to the target (`Shine.doubts`), if there is any
+    by_brightness : (2, pixels), by the light that may be due to the lens or to the target
+        (`Brightness.growth_std`), if there is any
     """
 
     mean: Floats
     by_waves: Floats
     by_pose: Floats
-    by_shine: Floats = field(default_factory=lambda: np.empty((0, 0)))
+    by_brightness: Floats = field(default_factory=lambda: np.empty((0, 0)))
 
 
 @dataclass(frozen=True)
@@ -81,8 +82,12 @@ class ForwardModel:
     @cached_property
     def light(self) -> Floats:
         """(rows, columns) how brightly the target shines at each pixel, relative."""
-        shine = self.scene.shine
-        return np.ones(self.scene.torus.frame) if shine is None else shine.at(*self._pixels)
+        brightness = self.scene.brightness
+        return (
+            np.ones(self.scene.torus.frame)
+            if brightness is None
+            else brightness.at(*self._pixels)
+        )
 
     @classmethod
     def build(
@@ -94,8 +99,8 @@ class ForwardModel:
         *,
         band: float = 1.0,
         window_airy: float = WINDOW_AIRY,
-        cone_margin: float = 0.0,
-        shine: Shine | None = None,
+        f_number_margin: float = 0.0,
+        brightness: Brightness | None = None,
     ) -> "ForwardModel":
         """Build a model of frames of a given size.
 
@@ -108,11 +113,13 @@ class ForwardModel:
             quick sketch
         window_airy : width of the PSF's window in lambda N; a smaller window is quicker and
             errs by the halo's dependence on the wavefront
-        cone_margin : relative, by which `with_optics` may lower the f-number
-        shine : brightness of the target from place to place
+        f_number_margin : relative, by which `with_optics` may lower the f-number
+        brightness : brightness of the target from place to place
         """
         window_um = window_airy * optics.airy_um
-        cutoff = optics.rim.reach / (optics.airy_um * (1 - cone_margin) * optics.shortest)
+        cutoff = optics.rim.reach / (
+            optics.airy_um * (1 - f_number_margin) * optics.shortest
+        )
         reaches_px = (part.reach_px for part in (*optics.parts, *optics.given))
         guard_px = guards(
             frame, reference, max(window_um / 2 / optics.pitch_um, *reaches_px, 0.0)
@@ -146,7 +153,7 @@ class ForwardModel:
         rough = (blur if fewer == torus else replace(blur, torus=fewer)).simple
         return cls(
             optics,
-            Scene(torus, target, band * cutoff, reference, shine),
+            Scene(torus, target, band * cutoff, reference, brightness),
             blur,
             rough,
             wrapped,
@@ -187,7 +194,7 @@ class ForwardModel:
         return replace(self, optics=optics, scene=scene, blur=blur, rough=rough)
 
     def rebuilt(
-        self, optics: Optics, reference: Pose, *, waves: Floats, cone_margin: float
+        self, optics: Optics, reference: Pose, *, waves: Floats, f_number_margin: float
     ) -> "ForwardModel":
         """Build the model anew for other optics, over the whole band, with a window for a wavefront (modes,) RMS."""
         window_airy = max(self.window_airy, optics.window_airy(waves))
@@ -198,8 +205,8 @@ class ForwardModel:
             scene.torus.frame,
             reference,
             window_airy=window_airy,
-            cone_margin=cone_margin,
-            shine=scene.shine,
+            f_number_margin=f_number_margin,
+            brightness=scene.brightness,
         )
 
     def draw(self, poses: Sequence[Pose]) -> Drawing:
@@ -256,26 +263,27 @@ class ForwardModel:
         if by_camera:
             by_parts = self._turned(blur, blur.by_parts(waves), spectra, used)
             by_panel = self._by_panel(blur, single, drawing, used)
-            by_cone = self._turned(blur, [blur.by_cone(waves)], spectra, used)
+            by_f_number = self._turned(blur, [blur.by_f_number(waves)], spectra, used)
             by_lens = [
                 np.concatenate(rows)
-                for rows in zip(by_lens, by_parts, by_panel, by_cone, strict=True)
+                for rows in zip(by_lens, by_parts, by_panel, by_f_number, strict=True)
             ]
         kernels = (single, *blur.spread(single))
         by_pose = [
             self._lit(_by_pose(blur.torus, spectrum, kernels, pose, u), u)
             for spectrum, pose, u in zip(spectra, drawing.poses, used, strict=True)
         ]
-        by_shine = (
-            self._by_shine(blur.torus, spectra, kernels, used)
+        by_brightness = (
+            self._by_brightness(blur.torus, spectra, kernels, used)
             if by_camera
             else np.empty((len(used), 0, 0))
         )
         return [
-            Evaluation(*of) for of in zip(means, by_lens, by_pose, by_shine, strict=True)
+            Evaluation(*of)
+            for of in zip(means, by_lens, by_pose, by_brightness, strict=True)
         ]
 
-    def _by_shine(
+    def _by_brightness(
         self,
         torus: Torus,
         spectra: Sequence[Complexes64],
@@ -286,12 +294,14 @@ class ForwardModel:
 
         kernels: as of `_by_pose`
         """
-        if self.scene.shine is None:
+        if self.scene.brightness is None:
             return [np.empty((0, int(u.sum()))) for u in used]
-        doubts, made = self.scene.shine.doubts(*self._pixels), []
+        growth_std, made = self.scene.brightness.growth_std(*self._pixels), []
         for spectrum, u in zip(spectra, used, strict=True):
             down, right = (torus.sample(spectrum, kernel)[u] for kernel in kernels[1:])
-            made.append(self._lit(-doubts[:, 0, u] * down - doubts[:, 1, u] * right, u))
+            made.append(
+                self._lit(-growth_std[:, 0, u] * down - growth_std[:, 1, u] * right, u)
+            )
         return made
 
     def by_parts(
@@ -406,7 +416,7 @@ class ForwardModel:
 
     def _lit(self, pixels: Floats, used: Bools) -> Floats:
         """Return (..., pixels) relative to the target's brightness at the used pixels."""
-        return pixels if self.scene.shine is None else pixels / self.light[used]
+        return pixels if self.scene.brightness is None else pixels / self.light[used]
 
 
 def _lit(target: Target, optics: Optics) -> Target:

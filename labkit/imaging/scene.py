@@ -7,8 +7,8 @@ from functools import cached_property
 import numpy as np
 
 from labkit.imaging import spline
+from labkit.imaging.brightness import Brightness
 from labkit.imaging.grid import Torus
-from labkit.imaging.shine import Shine
 from labkit.imaging.warp import Pose
 from labkit.panel.drawn_target import PanelTarget
 from labkit.target import Target
@@ -42,7 +42,7 @@ class Scene:
     """Draws a target on a torus.
 
     cutoff_per_um: incoherent cutoff of the optics, up to which the drawing must be right.
-    reference: a pose near the drawn ones. shine: relative brightness of the target's places
+    reference: a pose near the drawn ones. brightness: relative brightness of the target's places
     in the frame; None if even. The target is rendered once, band-limited, as a raster in
     its own plane, and warped from there by splines. The raster depends on the reference
     only, so a drawing is a smooth function of its pose. At the conditions of thesis §3.8
@@ -55,7 +55,7 @@ class Scene:
     target: Target
     cutoff_per_um: float
     reference: Pose
-    shine: Shine | None = None
+    brightness: Brightness | None = None
     _raster: "_Raster" = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -115,14 +115,14 @@ class Scene:
             image[window] = raster.at(
                 np.linalg.inv(onto_torus.matrix) @ to_torus, image[window].shape
             )
-            if self.shine is not None:
+            if self.brightness is not None:
                 rows, columns = (
                     np.arange(*ends) / many - margin
                     for ends, margin in zip(
                         zip(low, high, strict=True), (top, left), strict=True
                     )
                 )
-                image[window] *= self.shine.at(rows, columns)
+                image[window] *= self.brightness.at(rows, columns)
         return image
 
     def draw(self, poses: Sequence[Pose]) -> Drawing:

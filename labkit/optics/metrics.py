@@ -23,7 +23,7 @@ from labkit.uncertain import Uncertain
 PUPIL_SAMPLES = (
     240  # across; the PSF of a pupil of samples repeats itself after so many lambda N
 )
-CONE_STEP = 1e-4  # relative, of a PSF's derivative by the f-number
+F_NUMBER_STEP = 1e-4  # relative, of a PSF's derivative by the f-number
 HALF_WIDTH_AIRY = 32.0  # of a PSF's usual window: 0.6 % of the light lies beyond
 RIM_ANGLES, RADII = (
     512,
@@ -67,9 +67,9 @@ def psf(wavefront: FittedWavefront, spacing_um: float, size: int | None = None) 
     std = np.sqrt(wavefront.variance(slopes)) / total
     value = value / total
     if wavefront.f_number_std:
-        slower = replace(wavefront, f_number=wavefront.f_number * (1 + CONE_STEP))
-        by_cone = (psf_value(slower, spacing_um, len(value)) - value) / CONE_STEP
-        std = np.hypot(std, wavefront.cone_error * by_cone)
+        slower = replace(wavefront, f_number=wavefront.f_number * (1 + F_NUMBER_STEP))
+        by_f_number = (psf_value(slower, spacing_um, len(value)) - value) / F_NUMBER_STEP
+        std = np.hypot(std, wavefront.f_number_relative_std * by_f_number)
     if (broad := wavefront.in_broadest_light) is not None:
         std = error_with_bias(std, _by_light(wavefront, broad, spacing_um, value))
     return Psf(spacing_um, value, std)

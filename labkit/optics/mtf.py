@@ -112,7 +112,8 @@ def mtf(
     if wavefront.f_number_std:
         variance = (
             variance
-            + (wavefront.cone_error * along * _slope(wavefront, along, azimuth)) ** 2
+            + (wavefront.f_number_relative_std * along * _slope(wavefront, along, azimuth))
+            ** 2
         )
     std = np.sqrt(variance)
     return Curve(frequency, value.reshape(frequency.shape), std.reshape(frequency.shape))

@@ -129,7 +129,7 @@ class FittedWavefront:
         return 2 * np.pi * self.reference_um / self.wavelength_um
 
     @property
-    def cone_error(self) -> float:
+    def f_number_relative_std(self) -> float:
         """Relative standard error of the f-number."""
         return self.f_number_std / self.f_number
 

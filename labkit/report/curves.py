@@ -71,7 +71,7 @@ class Curves:
         slope = (self.place(defocus.value + step) - self.place(defocus.value - step)) / (
             2 * step
         )
-        std = np.hypot(defocus.std, w.cone_error * defocus.value)
+        std = np.hypot(defocus.std, w.f_number_relative_std * defocus.value)
         return Uncertain(self.place(defocus.value), float(np.hypot(slope * std, focus_std)))
 
 

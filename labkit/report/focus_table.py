@@ -167,7 +167,7 @@ def _on_sensor(curve: Curves) -> str:
         return NO_LIMIT
     fitted, span = curve.focus.fitted, curve.depth.span
     factor = sensor_shift_um(fitted, 1.0)
-    cone = 2 * fitted.cone_error * span.value
+    cone = 2 * fitted.f_number_relative_std * span.value
     return estimated(Uncertain(span.value, (span.std**2 + cone**2) ** 0.5), factor)
 
 

@@ -94,7 +94,7 @@ def test_slopes_by_the_aperture_are_differences(lying: bool) -> None:
 def test_slopes_of_pictures_by_the_aperture_are_differences() -> None:
     target = PanelTarget.of(CARPET, (54, 54), 0)
     optics = replace(OPTICS, panel=Aperture(0.03, -0.02))
-    model = ForwardModel.build(optics, target, (58, 60), POSE, cone_margin=0.02)
+    model = ForwardModel.build(optics, target, (58, 60), POSE, f_number_margin=0.02)
     assert isinstance(model.scene.target, PanelTarget)
     assert model.scene.target.aperture == pytest.approx((0.88, 0.83))
     used = [np.ones((58, 60), bool)]

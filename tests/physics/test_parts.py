@@ -194,7 +194,7 @@ def test_a_spectrum_that_can_grow_no_more_has_the_slope_that_it_had_just_before(
 def test_slopes_by_the_camera_are_differences_of_pictures(variance: float | None) -> None:
     light = () if variance is None else (SpectrumWidth(variance),)
     optics = replace(OPTICS, parts=(*EVERY[1:2], *EVERY[3:], *light))
-    model = ForwardModel.build(optics, CARPET, (58, 60), POSE, cone_margin=0.02)
+    model = ForwardModel.build(optics, CARPET, (58, 60), POSE, f_number_margin=0.02)
     used, drawing = [np.ones((58, 60), bool)], model.draw([POSE])
     slopes = model.evaluate(TRUTH.waves, drawing, used, by_camera=True)[0].by_waves[
         len(TRUTH.waves) :

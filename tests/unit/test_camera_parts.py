@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from labkit.estimation.climb import Start
-from labkit.estimation.expansion import free_cone
+from labkit.estimation.expansion import free_f_number
 from labkit.estimation.scores import score_tests
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import optics_of, wanted_parts
@@ -241,7 +241,7 @@ def streak(monkeypatch: pytest.MonkeyPatch) -> Streak:
 def test_a_new_part_has_slopes_that_are_differences_of_pictures(streak: Streak) -> None:
     optics = replace(OPTICS, parts=(Diffusion(0.02), streak))
     model = ForwardModel.build(
-        optics, CARPET, FRAME, POSE, cone_margin=SETTINGS.cone_margin
+        optics, CARPET, FRAME, POSE, f_number_margin=SETTINGS.f_number_margin
     )
     used, drawing = [np.ones(FRAME, bool)], model.draw([POSE])
     slope = model.evaluate(TRUTH.waves, drawing, used, by_camera=True)[0].by_waves[
@@ -265,18 +265,18 @@ def test_a_new_part_is_called_for_fitted_and_told(streak: Streak) -> None:
         CARPET,
         FRAME,
         POSE,
-        cone_margin=SETTINGS.cone_margin,
+        f_number_margin=SETTINGS.f_number_margin,
     )
     plain = ForwardModel.build(
-        OPTICS, CARPET, FRAME, POSE, cone_margin=SETTINGS.cone_margin
+        OPTICS, CARPET, FRAME, POSE, f_number_margin=SETTINGS.f_number_margin
     )
     frames = replace(photographed(taken), model=plain)
-    freed = free_cone(frames, Start(TRUTH), 0.03)
+    freed = free_f_number(frames, Start(TRUTH), 0.03)
     assert "streak" in freed.optics.lacking
     # twice the gain of one number is chi-squared of one: beyond 5.4 once in a thousand
     assert score_tests(freed.expansion, ["streak"], 0.03)["streak"].gain > 5.4
     model = plain.with_optics(OPTICS.with_parts(["streak"]))
-    found = free_cone(replace(frames, model=model), Start(freed.solution.state), 0.03)
+    found = free_f_number(replace(frames, model=model), Start(freed.solution.state), 0.03)
     modes = len(OPTICS.noll)
     variance = Uncertain(
         found.measured.values[modes], found.measured.covariance[modes, modes] ** 0.5

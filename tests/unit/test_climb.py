@@ -21,7 +21,7 @@ from labkit.estimation.climb import (
     damped_step,
     maximize,
 )
-from labkit.estimation.expansion import free_cone
+from labkit.estimation.expansion import free_f_number
 from labkit.estimation.likelihood import FrameData
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
@@ -125,7 +125,7 @@ def test_one_drawing_is_held_at_a_time(
 
     monkeypatch.setattr(Problem, "draw", noted)
     climbed = maximize(problem, beside(truth(), np.random.default_rng(1)))
-    free_cone(problem, Start(climbed.state), 0.01)
+    free_f_number(problem, Start(climbed.state), 0.01)
     assert len(drawn) > 5
 
 

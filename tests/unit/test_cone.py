@@ -9,7 +9,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from labkit.estimation.climb import NoisePrior, Problem, Start, State, maximize
-from labkit.estimation.expansion import expand, free_cone, with_optics_about
+from labkit.estimation.expansion import expand, free_f_number, with_optics_about
 from labkit.estimation.likelihood import FrameData
 from labkit.estimation.settings import SETTINGS
 from labkit.imaging.model import ForwardModel
@@ -49,7 +49,9 @@ MODES = slice(3)
 
 @pytest.fixture(scope="module")
 def model() -> ForwardModel:
-    return ForwardModel.build(OPTICS, CARPET, FRAME, POSE, cone_margin=SETTINGS.cone_margin)
+    return ForwardModel.build(
+        OPTICS, CARPET, FRAME, POSE, f_number_margin=SETTINGS.f_number_margin
+    )
 
 
 def photographed(model: ForwardModel, truth: State = TRUTH) -> Problem:
@@ -67,7 +69,7 @@ def test_with_the_cone_held_newtons_steps_end_where_a_damped_climb_does(
     step = np.zeros(3 + 10 + 2)
     step[MODES] = 0.004, -0.003, 0.003
     climbed = maximize(problem, TRUTH.moved(step), tolerance=1e-3)
-    freed = free_cone(problem, Start(TRUTH.moved(step)), 0.0)
+    freed = free_f_number(problem, Start(TRUTH.moved(step)), 0.0)
     std = np.sqrt(np.diag(climbed.covariance()))[MODES]
     assert freed.solution.converged
     assert np.abs((freed.solution.state.waves - climbed.state.waves) / std).max() < 0.02
@@ -82,7 +84,7 @@ def test_a_cone_that_is_off_is_found_and_so_are_the_modes(model: ForwardModel) -
         problem.frames,
         PRIOR,
     )
-    freed, right = (free_cone(p, Start(TRUTH), 0.03) for p in (off, problem))
+    freed, right = (free_f_number(p, Start(TRUTH), 0.03) for p in (off, problem))
     std = np.sqrt(freed.measured.covariance[-2, -2])
     assert std < 0.02
     assert abs(freed.measured.values[-2] - np.log(OPTICS.f_number)) < 3 * std
@@ -100,7 +102,9 @@ def test_a_cone_that_is_off_is_found_and_so_are_the_modes(model: ForwardModel) -
 def test_a_cone_wider_than_a_model_spares_is_modelled_anew(light: Spectrum) -> None:
     """In the shortest of its light, whose PSFs are the finest, too."""
     broad = replace(OPTICS, spectrum=light)
-    model = ForwardModel.build(broad, CARPET, FRAME, POSE, cone_margin=SETTINGS.cone_margin)
+    model = ForwardModel.build(
+        broad, CARPET, FRAME, POSE, f_number_margin=SETTINGS.f_number_margin
+    )
     finest_um = 0.5 * OPTICS.airy_um * min(light.nodes)
     least = model.blur.pupil.spacing_um / finest_um  # of the cone, that its grid is for
     for cone, same in ((1.001 * least, True), (0.999 * least, False)):
@@ -121,10 +125,10 @@ def test_a_number_that_would_leave_its_bounds_stays_there_and_all_else_settles(
         CARPET,
         FRAME,
         POSE,
-        cone_margin=SETTINGS.cone_margin,
+        f_number_margin=SETTINGS.f_number_margin,
     )
     broad = with_optics_about(model, OPTICS.with_parts(["spectrum"]), TRUTH)
-    freed = free_cone(replace(photographed(filtered), model=broad), Start(TRUTH), 0.03)
+    freed = free_f_number(replace(photographed(filtered), model=broad), Start(TRUTH), 0.03)
     assert freed.solution.converged
     assert freed.solution.steps < 8  # 5; 10 where they led to widths that do nothing more
     assert freed.optics.parts[0].values == pytest.approx((WIDEST**2,))
@@ -139,16 +143,18 @@ def test_a_start_from_which_newtons_steps_run_away_says_so(model: ForwardModel) 
         TRUTH.ambients,
         TRUTH.log_noise,
     )
-    assert not free_cone(photographed(model), Start(far), 0.03).solution.converged
+    assert not free_f_number(photographed(model), Start(far), 0.03).solution.converged
 
 
 def test_a_wavefront_that_throws_light_far_gets_a_wider_window(model: ForwardModel) -> None:
     thrown = replace(TRUTH, waves=np.array([0.5, 0.8, 0.8]))
-    wide = model.rebuilt(OPTICS, POSE, waves=thrown.waves, cone_margin=SETTINGS.cone_margin)
+    wide = model.rebuilt(
+        OPTICS, POSE, waves=thrown.waves, f_number_margin=SETTINGS.f_number_margin
+    )
     assert wide.window_airy > 1.5 * model.window_airy
     problem = photographed(wide, thrown)
     ends = [
-        free_cone(replace(problem, model=each), Start(thrown), 0.03)
+        free_f_number(replace(problem, model=each), Start(thrown), 0.03)
         for each in (model, wide)
     ]
     assert ends[0].expansion.problem.model.window_airy == pytest.approx(wide.window_airy)

@@ -416,7 +416,7 @@ def marginal(fit: LensFit) -> float:
 def test_the_evidence_of_two_laws_differs_as_their_gaussians_do() -> None:
     plan, every = stated(60.0, 4.0), members(NEAR[::2], 482.0, 60.0, 4.0, modes={7: 0.02})
     every = [moved(one, 2e-4 * (-1) ** k, modes=5e-4 * k) for k, one in enumerate(every)]
-    looser = Laws(mode_scatter=0.003, cone_std=0.1, size_scatter=1e-3)
+    looser = Laws(mode_scatter=0.003, f_number_std=0.1, size_scatter=1e-3)
     strict, loose = (lens_of(every, plan, of) for of in (Laws(), looser))
     difference = marginal(loose) - marginal(strict)
     assert abs(difference) > 10

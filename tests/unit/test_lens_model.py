@@ -173,8 +173,8 @@ def test_photographs_before_and_after_a_homing_share_its_error() -> None:
 
 
 def test_rough_laws_add_their_errors_in_squares() -> None:
-    rough = Laws(mode_scatter=0.004, cone_scatter=0.004).rough()
+    rough = Laws(mode_scatter=0.004, f_number_scatter=0.004).rough()
     assert rough.mode_scatter == pytest.approx(0.005)
-    assert rough.cone_scatter == pytest.approx(0.005)
+    assert rough.f_number_scatter == pytest.approx(0.005)
     assert not rough.shared
     assert rough.paraxial

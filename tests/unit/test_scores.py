@@ -9,7 +9,7 @@ import pytest
 
 from labkit.estimation.camera import chance_gain
 from labkit.estimation.climb import Problem, Start
-from labkit.estimation.expansion import Freed, free_cone, with_modes
+from labkit.estimation.expansion import Freed, free_f_number, with_modes
 from labkit.estimation.scores import ScoreTest, score_tests, twin_scores
 from labkit.estimation.settings import SETTINGS
 from labkit.imaging.aperture import Aperture
@@ -27,16 +27,20 @@ SPECTRUM = SpectrumWidth.name
 def problem(*parts: Part) -> Problem:
     """Frames taken with parts of a camera, and a model without."""
     with_them = ForwardModel.build(
-        replace(OPTICS, given=parts), CARPET, FRAME, POSE, cone_margin=SETTINGS.cone_margin
+        replace(OPTICS, given=parts),
+        CARPET,
+        FRAME,
+        POSE,
+        f_number_margin=SETTINGS.f_number_margin,
     )
     without = ForwardModel.build(
-        OPTICS, CARPET, FRAME, POSE, cone_margin=SETTINGS.cone_margin
+        OPTICS, CARPET, FRAME, POSE, f_number_margin=SETTINGS.f_number_margin
     )
     return replace(photographed(with_them), model=without)
 
 
 def fitted(of: Problem) -> Freed:
-    return free_cone(of, Start(TRUTH), 0.03)
+    return free_f_number(of, Start(TRUTH), 0.03)
 
 
 def asked(of: Problem) -> dict[str, ScoreTest]:
@@ -48,7 +52,7 @@ def test_a_filter_is_called_for_by_as_much_as_a_climb_with_it_gains() -> None:
     frames = problem(LowPass(0.2, 0.15))
     plain, test = fitted(frames), asked(frames)["low_pass_filter"]
     model = frames.model.with_optics(OPTICS.with_parts(["low_pass_filter"]))
-    climbed = free_cone(replace(frames, model=model), Start(plain.solution.state), 0.03)
+    climbed = free_f_number(replace(frames, model=model), Start(plain.solution.state), 0.03)
     gained = climbed.solution.objective - plain.solution.objective
     assert gained > 20
     assert test.gain == pytest.approx(
@@ -87,7 +91,7 @@ def test_what_photographs_call_for_does_not_depend_on_numbers_that_move_nothing(
 def test_a_veil_is_climbed_to_with_its_width() -> None:
     frames = problem(Veil(0.02, 7.0))
     model = frames.model.with_optics(OPTICS.with_parts(["veil"]))
-    climbed = free_cone(
+    climbed = free_f_number(
         replace(frames, model=model), Start(fitted(frames).solution.state), 0.03
     )
     share, log_scale = climbed.measured.values[3:5]
@@ -140,10 +144,10 @@ def higher_problem(waves: tuple[float, ...]) -> Problem:
     """Return frames taken through a lens with modes 16 to 21, and a model without these modes."""
     lens = replace(OPTICS, noll=(*OPTICS.noll, *GROUPS["modes_16_21"].noll))
     with_them = ForwardModel.build(
-        lens, CARPET, FRAME, POSE, cone_margin=SETTINGS.cone_margin
+        lens, CARPET, FRAME, POSE, f_number_margin=SETTINGS.f_number_margin
     )
     without = ForwardModel.build(
-        OPTICS, CARPET, FRAME, POSE, cone_margin=SETTINGS.cone_margin
+        OPTICS, CARPET, FRAME, POSE, f_number_margin=SETTINGS.f_number_margin
     )
     truth = replace(TRUTH, waves=np.array([*TRUTH.waves, *waves]))
     return replace(photographed(with_them, truth), model=without)
@@ -155,7 +159,7 @@ def test_modes_gain_as_much_as_a_climb_with_them_gains() -> None:
     tests = score_tests(plain.expansion, ["modes_16_21", "modes_22_28"], 0.03)
     wider = OPTICS.with_parts(["modes_16_21"])
     start = with_modes(plain.solution.state, OPTICS, wider)
-    climbed = free_cone(
+    climbed = free_f_number(
         replace(frames, model=frames.model.with_optics(wider)), Start(start), 0.03
     )
     gained = climbed.solution.objective - plain.solution.objective

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from labkit.estimation.candidate import Candidate, Observed
-from labkit.estimation.laws import CONE, WAVELENGTH
+from labkit.estimation.laws import WAVELENGTH, WORKING_F_NUMBER
 from labkit.estimation.lens_fit import LensFit
 from labkit.estimation.lens_model import LensModel
 from labkit.estimation.select import Options, Selection, _Choices, select
@@ -309,7 +309,7 @@ def test_a_cone_of_another_lens_is_not_believed() -> None:
     assert selection.outliers == []
     assert not selection.lens.model.laws.paraxial
     # without sizes the pupils take a part of it upon them: 0.020 is left
-    assert 0.01 < selection.lens.value(CONE) < 0.04
+    assert 0.01 < selection.lens.value(WORKING_F_NUMBER) < 0.04
     assert best_focus(selection.lens, "G").value == pytest.approx(482.0, abs=0.01)
 
 

@@ -76,7 +76,7 @@ def test_a_climb_begins_at_the_cone_that_the_others_measured() -> None:
     assert all(task.guesses.f_number_std > 0.02 for task in anchors)
     for task in rest:
         assert np.log(task.optics.f_number) == pytest.approx(true_values(NEAR)[2], abs=1e-6)
-        assert task.guesses.f_number_std == SETTINGS.shared_cone_std
+        assert task.guesses.f_number_std == SETTINGS.shared_f_number_std
 
 
 def test_a_climb_from_a_prediction_begins_at_the_poses_that_another_channel_found() -> None:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from labkit.calibration.falloff import Falloff
+from labkit.imaging.brightness import SHARE_STD, Brightness
 from labkit.imaging.model import ForwardModel
-from labkit.imaging.shine import SHARE_STD, Shine
 from labkit.imaging.warp import Pose
 from labkit.types import Floats
 
@@ -25,8 +25,8 @@ def light(rows: Floats, columns: Floats) -> Floats:
 
 
 def model(share: float) -> ForwardModel:
-    seen = Shine.seen(light(ROWS, COLUMNS) ** share, USED)
-    return ForwardModel.build(OPTICS, CARPET, FRAME, POSE, shine=seen)
+    seen = Brightness.fitted(light(ROWS, COLUMNS) ** share, USED)
+    return ForwardModel.build(OPTICS, CARPET, FRAME, POSE, brightness=seen)
 
 
 def mean(of: ForwardModel) -> Floats:
@@ -46,7 +46,7 @@ def test_its_share_has_the_slope_that_differences_have() -> None:
     uneven = model(0.05)
     (evaluation,) = uneven.evaluate(WAVES, uneven.draw([POSE]), [USED], by_camera=True)
     difference = mean(model(0.1)) - mean(model(0.0))
-    ours = 0.1 / (0.05 * SHARE_STD) * evaluation.by_shine[0].reshape(FRAME)
+    ours = 0.1 / (0.05 * SHARE_STD) * evaluation.by_brightness[0].reshape(FRAME)
     assert np.std(ours - difference) < 0.05 * np.std(difference)
 
 
@@ -57,7 +57,11 @@ def test_a_curvature_round_about_the_middle_has_the_slope_that_differences_have(
     bent = np.exp(0.1 * bent_std * ((ROWS - 27) ** 2 + (COLUMNS - 28) ** 2) / 2)
     one, other = (
         ForwardModel.build(
-            OPTICS, CARPET, FRAME, POSE, shine=Shine.seen(light(ROWS, COLUMNS) * by, USED)
+            OPTICS,
+            CARPET,
+            FRAME,
+            POSE,
+            brightness=Brightness.fitted(light(ROWS, COLUMNS) * by, USED),
         )
         for by in (1 / bent, bent)
     )
@@ -68,7 +72,7 @@ def test_a_curvature_round_about_the_middle_has_the_slope_that_differences_have(
     difference = (mean(other) - mean(one))[inside].ravel()
     # brighter in all, which is the light's level, and a faint veil of second order
     terms = (
-        np.stack([0.2 * evaluation.by_shine[1], evaluation.mean], axis=-1)
+        np.stack([0.2 * evaluation.by_brightness[1], evaluation.mean], axis=-1)
         .reshape(*FRAME, 2)[inside]
         .reshape(-1, 2)
     )
@@ -100,7 +104,7 @@ def test_slopes_by_modes_and_pose_are_those_of_the_uneven_target() -> None:
 
 
 def test_beyond_the_frame_light_is_that_of_its_edge() -> None:
-    seen = Shine.seen(light(ROWS, COLUMNS), USED)
+    seen = Brightness.fitted(light(ROWS, COLUMNS), USED)
     far, edge = (
         seen.at(np.array(rows), np.array([5.0])) for rows in ([-30.0, 80.0], [0.0, 53.0])
     )

@@ -14,7 +14,7 @@ SHARE_STD = (
 
 
 @dataclass(frozen=True, eq=False)
-class Shine:
+class Brightness:
     """Smooth light over a frame: exp of a polynomial in row and column.
 
     shape: (rows, columns) of the frame; coefficients: (4, 4) of the powers of row and of
@@ -26,7 +26,7 @@ class Shine:
     coefficients: Floats
 
     @classmethod
-    def seen(cls, illumination: Floats, used: Bools) -> "Shine":
+    def fitted(cls, illumination: Floats, used: Bools) -> "Brightness":
         """Fit the light in the pixels of a mask (rows, columns), despite the noise of single pixels."""
         down, right = (
             _powers(at, n) for at, n in zip(np.nonzero(used), used.shape, strict=True)
@@ -43,7 +43,7 @@ class Shine:
         """Return (m, n) relative light at rows (m,) and columns (n,), pixels of the frame."""
         return np.asarray(np.exp(self._ln(rows, columns)))
 
-    def doubts(self, rows: Floats, columns: Floats) -> Floats:
+    def growth_std(self, rows: Floats, columns: Floats) -> Floats:
         """Return (2, 2, m, n) standard errors of the growth of ln of the light from row to row and column to
         column.
 
