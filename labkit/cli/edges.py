@@ -16,7 +16,7 @@ from labkit.errors import DataError
 
 if TYPE_CHECKING:
     from labkit.edges.found_edges import Box
-    from labkit.edges.measure import Scene
+    from labkit.edges.measurement import Scene
     from labkit.edges.outcome import EdgesOutcome
     from labkit.uncertain import Uncertain
 
@@ -105,7 +105,7 @@ def edges(
     """Estimate ranges from straight edges. And the camera's response across them, by the fit and by ISO 12233."""
     a_file_or_plan(*images)
     a_file_or_session(psf)
-    from labkit.edges.measure import Scene, measure_edges
+    from labkit.edges.measurement import Scene, measure_edges
     from labkit.plan import Plan
     from labkit.results import Results
 
@@ -145,9 +145,7 @@ def _show(console: Console, outcome: EdgesOutcome, scene: Scene, out: Path | Non
     for of in outcome.rejected:
         console.warn(f"box {','.join(map(str, of.box))}: {of.why}")
     if out is not None:
-        from labkit.edges.written import write_outcome
-
-        for path in write_outcome(out, outcome, scene.images[0], scene.plan):
+        for path in outcome.write(out, scene.images[0], scene.plan):
             console.say(f"written: {path}")
     console.answer(outcome.as_json())
     if not measured:

@@ -1,4 +1,4 @@
-"""One box in one colour: what travels to a worker, and what comes back."""
+"""One box in one colour: the task of a worker, and its result."""
 
 from __future__ import annotations
 
@@ -9,12 +9,10 @@ import numpy as np
 
 from labkit.edges.boxes import ChannelFrame, Place
 from labkit.edges.camera import Camera
+from labkit.edges.defocus_sides import sides_of
+from labkit.edges.edge_fit import EXACTLY, ROUGHLY, EdgeFit, EdgeProblem
 from labkit.edges.esfr import Esfr, Plane, esfr
-from labkit.edges.joint import EXACTLY, ROUGHLY, EdgeFit, EdgeProblem
-from labkit.edges.profile import sides_of
-from labkit.edges.ranges import Side
-from labkit.edges.region import Region
-from labkit.edges.search import (
+from labkit.edges.first_fits import (
     coherent_rms,
     fit_depth,
     halves,
@@ -22,19 +20,30 @@ from labkit.edges.search import (
     refuse_uneven,
     rough_edge,
 )
+from labkit.edges.ranges import Side
+from labkit.edges.region import Region
 from labkit.errors import DataError, FitError
 
-DIFFERENT = 6.0  # standard errors of a difference of defocus between an edge's halves
+DIFFERENT = 6.0  # standard errors between the defoci of an edge's halves
 DIFFERENT_WAVES, DIFFERENT_SHARE = (
     0.08,
     0.1,
-)  # of it, at least: waves RMS, and share of the defocus
-MOST_LEFT = 0.06  # of the step: what residuals have in common with their neighbours, RMS
+)  # at least: waves RMS, and share of the defocus
+MOST_LEFT = 0.06  # of the step: what residuals share with their neighbours, RMS
 
 
 @dataclass(frozen=True)
 class BoxTask:
-    """Regions of one box, a frame each, and the first frame's planes; none where ISO 12233 cannot be applied, and why."""
+    """A box in one colour.
+
+    Attributes
+    ----------
+    place, camera : the box, and the camera in this colour
+    regions : one for each frame
+    rounding_variance : counts² that stored numbers add to the read noise
+    planes : samples of the first frame for ISO 12233; empty if the method cannot be applied
+    iso_problem : why not
+    """
 
     place: Place
     camera: Camera
@@ -45,21 +54,26 @@ class BoxTask:
 
     @property
     def problem(self) -> EdgeProblem:
-        """All frames of the box, one depth."""
+        """All frames of the box, of one depth."""
         noise = self.camera.noise
         noise = replace(noise, read_variance=noise.read_variance + self.rounding_variance)
-        return EdgeProblem(
-            (self.camera.optics,),
-            self.regions,
-            (noise,) * len(self.regions),
-            self.camera.lens,
-        )
+        noises = (noise,) * len(self.regions)
+        return EdgeProblem((self.camera.optics,), self.regions, noises, self.camera.lens)
 
 
 @dataclass(frozen=True)
 class BoxFit:
-    """ends: of the fit, the likelier first; none where the box was rejected, and why. sides: of best focus, on which it may
-    stand, where the wavefront is given."""
+    """The fit of a box in one colour.
+
+    Attributes
+    ----------
+    task : the box
+    ends : ends of its fit, or of a fit with other boxes, the likeliest first; empty if the box was rejected
+    sides : sides of best focus that it may be on, that of the fit first
+    why : why it was rejected
+    iso, iso_problem : response by ISO 12233; why it or its MTF50 is missing
+    first, depth : places of the box's first region and of its defocus in the fit
+    """
 
     task: BoxTask
     ends: tuple[EdgeFit, ...] = ()
@@ -67,6 +81,13 @@ class BoxFit:
     why: str = ""
     iso: Esfr | None = None
     iso_problem: str = ""
+    first: int = 0
+    depth: int = 0
+
+    @property
+    def fit(self) -> EdgeFit:
+        """The likeliest end."""
+        return self.ends[0]
 
 
 def box_task(frames: Sequence[ChannelFrame], camera: Camera, place: Place) -> BoxTask:
@@ -82,49 +103,45 @@ def box_task(frames: Sequence[ChannelFrame], camera: Camera, place: Place) -> Bo
 
 
 def fit_box(task: BoxTask) -> BoxFit:
-    """Do it. What cannot be fitted comes back with its reason, and with its response by ISO 12233 if it has an edge."""
-    rough = []
+    """Fit a box. A rejected box has its reason, and its response by ISO 12233 if it holds an edge."""
+    box = BoxFit(task)
     try:
-        for region in task.regions:
-            rough.append(rough_edge(region))
-            refuse_no_edge(region, rough[-1])
-    except DataError as error:
-        return BoxFit(task, why=str(error))
-    iso, problem = _by_the_standard(task)
-    try:
+        rough = [rough_edge(region) for region in task.regions]
+        for region, found in zip(task.regions, rough, strict=True):
+            refuse_no_edge(region, found)
+        box = _by_the_standard(box)
         for region, found in zip(task.regions, rough, strict=True):
             refuse_uneven(region, found)
         ends = fit_depth(task.problem, rough, EXACTLY if task.camera.given else ROUGHLY)
         _refuse_contradiction(ends[0])
         sides = sides_of(ends) if task.camera.given else ()
     except (DataError, FitError) as error:
-        return BoxFit(task, why=str(error), iso=iso, iso_problem=problem)
+        return replace(box, why=str(error))
     except np.linalg.LinAlgError:
         why = "it holds no edge that can be fitted: the information is singular"
-        return BoxFit(task, why=why, iso=iso, iso_problem=problem)
-    return BoxFit(task, ends, sides, iso=iso, iso_problem=problem)
+        return replace(box, why=why)
+    return replace(box, ends=ends, sides=sides)
 
 
-def _by_the_standard(task: BoxTask) -> tuple[Esfr | None, str]:
-    """The response by ISO 12233, and why it or its MTF50 is lacking."""
-    if not task.planes:
-        return None, task.iso_problem
+def _by_the_standard(box: BoxFit) -> BoxFit:
+    """Add the response by ISO 12233, and why it or its MTF50 is missing."""
+    if not box.task.planes:
+        return replace(box, iso_problem=box.task.iso_problem)
     try:
-        found = esfr(task.planes, task.camera.optics.pitch_um)
+        found = esfr(box.task.planes, box.task.camera.optics.pitch_um)
     except DataError as error:
-        return None, str(error)
-    return found, found.problem
+        return replace(box, iso_problem=str(error))
+    return replace(box, iso=found, iso_problem=found.problem)
 
 
 def _refuse_contradiction(fit: EdgeFit) -> None:
-    """Raise DataError where an edge's residuals contradict one straight edge at one depth."""
+    """Raise DataError for residuals that contradict one straight edge at one depth."""
     parts = halves(fit)
     if parts is not None:
         (one, one_std), (other, other_std) = (part.defocus() for part in parts)
-        apart, std = abs(one - other), float(np.hypot(one_std, other_std))
-        if apart > max(
-            DIFFERENT * std, DIFFERENT_WAVES, DIFFERENT_SHARE * max(abs(one), abs(other))
-        ):
+        share = DIFFERENT_SHARE * max(abs(one), abs(other))
+        allowed = max(DIFFERENT * np.hypot(one_std, other_std), DIFFERENT_WAVES, share)
+        if abs(one - other) > allowed:
             raise DataError(
                 f"it holds edges at different depths: its halves are out of focus by {one:.3f} ± {one_std:.3f} and "
                 f"{other:.3f} ± {other_std:.3f} waves; take a box for each"

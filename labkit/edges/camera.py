@@ -12,7 +12,7 @@ from labkit.calibration.photon_transfer import (
     usual_gain,
     usual_read_variance,
 )
-from labkit.edges.joint import LensPrior
+from labkit.edges.edge_fit import LensPrior
 from labkit.edges.ranges import FOCI, ZERO, FocusLaw
 from labkit.estimation.climb import NoisePrior
 from labkit.estimation.stated import optics_of

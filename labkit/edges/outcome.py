@@ -1,10 +1,12 @@
-"""What is measured of edges: ranges, responses by the fit and by ISO 12233, what was rejected; as JSON and as a table."""
+"""Measured edges: ranges, responses by the fit and by ISO 12233, rejected boxes; as JSON, as a table, and in a folder."""
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +14,11 @@ import numpy as np
 from labkit.edges.esfr import Esfr
 from labkit.edges.found_edges import Box
 from labkit.edges.response import FittedResponse
-from labkit.plan import leading_channel
+from labkit.errors import TargetError
+from labkit.files import write_atomically, writing
+from labkit.finder.find_target import grey_image
+from labkit.photographs.decoding import read_photograph
+from labkit.plan import Plan, leading_channel
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
@@ -22,13 +28,28 @@ FAR = 4.0
 """Standard errors of a difference, beyond which two methods disagree."""
 
 METHOD_SHARE = 0.12
-"""Of MTF50: what the window of ISO 12233 adds to a strongly blurred edge's in a box of 36 pixels."""
+"""Relative to MTF50: what the window of ISO 12233 adds to a strongly blurred edge's in a box of 36 pixels."""
+
+HEADING = [
+    *("box", "angle", "range", "or", "channel", "defocus, waves"),
+    *("MTF50 of the fit, cycles/mm", "by ISO 12233"),
+    *("MTF10, cycles/mm", "by ISO 12233", "chi2/pixel"),
+]
 
 
 @dataclass(frozen=True)
 class ChannelEdge:
-    """An edge in one colour. defocus: waves RMS at the reference; other_defocus: on the other side of best focus, where the
-    picture alone does not exclude it. iso: by ISO 12233; iso_problem: why it or its MTF50 is lacking."""
+    """An edge in one colour.
+
+    Attributes
+    ----------
+    defocus : waves RMS at the reference
+    other_defocus : on the other side of best focus, if the picture alone does not exclude it
+    angle_deg, near, far : direction of the normal, and the radiances of both sides, counts
+    chi2_per_pixel, pixels : of the fit
+    fitted, iso : response by the fit, and by ISO 12233
+    iso_problem : why the latter or its MTF50 is missing
+    """
 
     channel: str
     defocus: Uncertain
@@ -44,7 +65,7 @@ class ChannelEdge:
 
     @property
     def disagreement(self) -> str:
-        """How far MTF50 by ISO 12233 is from that of the fit, in words; empty where their errors allow it."""
+        """Sentence on the difference of MTF50 by ISO 12233 and by the fit; empty if their errors allow it."""
         fit = self.fitted.mtf50
         iso = None if self.iso is None else self.iso.mtf50
         if iso is None or not math.isfinite(iso.value - fit.value):
@@ -58,45 +79,59 @@ class ChannelEdge:
         )
 
     def as_json(self) -> dict[str, Any]:
-        """One entry of "channels"."""
-        frequency = np.linspace(0, self.fitted.frequency_per_mm[-1], CURVE_POINTS)
-        curve = {
-            "per_mm": _rounded(frequency),
-            "fit": _rounded(
-                np.interp(frequency, self.fitted.frequency_per_mm, self.fitted.value)
-            ),
-            "fit_std": _rounded(
-                np.interp(frequency, self.fitted.frequency_per_mm, self.fitted.std)
-            ),
+        """Return an entry of "channels"."""
+        fit, iso = self.fitted, self.iso
+        at = np.linspace(0, fit.frequency_per_mm[-1], CURVE_POINTS)
+        curve = {"per_mm": at} | {
+            name: np.interp(at, fit.frequency_per_mm, values)
+            for name, values in (("fit", fit.value), ("fit_std", fit.std))
         }
-        if self.iso is not None:
-            for name, values in (("esfr", self.iso.value), ("esfr_std", self.iso.std)):
-                curve[name] = _rounded(
-                    np.interp(frequency, self.iso.frequency_per_mm, values)
-                )
+        if iso is not None:
+            for name, values in (("esfr", iso.value), ("esfr_std", iso.std)):
+                curve[name] = np.interp(at, iso.frequency_per_mm, values)
         return {
             "channel": self.channel,
-            "defocus_waves": self.defocus.as_json(),
-            "other_defocus_waves": None
-            if self.other_defocus is None
-            else self.other_defocus.as_json(),
-            "near_counts": self.near.as_json(),
-            "far_counts": self.far.as_json(),
-            "mtf50_per_mm": self.fitted.mtf50.as_json(),
-            "mtf10_per_mm": self.fitted.mtf10.as_json(),
-            "esfr_mtf50_per_mm": None if self.iso is None else self.iso.mtf50.as_json(),
-            "esfr_mtf10_per_mm": None if self.iso is None else self.iso.mtf10.as_json(),
+            "defocus_waves": self.defocus,
+            "other_defocus_waves": self.other_defocus,
+            "near_counts": self.near,
+            "far_counts": self.far,
+            "mtf50_per_mm": fit.mtf50,
+            "mtf10_per_mm": fit.mtf10,
+            "esfr_mtf50_per_mm": iso and iso.mtf50,
+            "esfr_mtf10_per_mm": iso and iso.mtf10,
             "esfr_problem": self.iso_problem or None,
-            "chi2_per_pixel": _finite(self.chi2_per_pixel),
+            "chi2_per_pixel": self.chi2_per_pixel,
             "pixels": self.pixels,
             "curve": curve,
         }
 
+    @property
+    def cells(self) -> list[str]:
+        """Cells of the table from the channel on."""
+        other = " or the reverse" if self.other_defocus is not None else ""
+        return [
+            self.channel,
+            _shown(self.defocus) + other,
+            _bare(self.fitted.mtf50),
+            "" if self.iso is None else _bare(self.iso.mtf50),
+            _bare(self.fitted.mtf10),
+            "" if self.iso is None else _bare(self.iso.mtf10),
+            f"{self.chi2_per_pixel:.2f}",
+        ]
+
 
 @dataclass(frozen=True)
 class MeasuredEdge:
-    """An edge in all its colours. range_mm: nan where nothing says what the lens is focused at; other: on the other side
-    of best focus, where the data do not exclude it. line: (2, 2) its ends, (row, column) in the raw."""
+    """An edge in all its colours.
+
+    Attributes
+    ----------
+    box : R0,C0,R1,C1 in the raw
+    line : (2, 2) its ends, (row, column) in the raw
+    range_mm : nan if the focus of the lens is unknown
+    other : range on the other side of best focus, if the data do not exclude it
+    channels : the edge in each colour
+    """
 
     box: Box
     line: Floats
@@ -106,68 +141,86 @@ class MeasuredEdge:
 
     @property
     def main(self) -> ChannelEdge:
-        """Green, or the first: what stands for the edge in a table."""
+        """Green, or the first colour, which represents the edge in a table."""
         names = [c.channel for c in self.channels]
         return self.channels[names.index(leading_channel(names))]
 
     @property
     def chi2_per_pixel(self) -> float:
-        """Over all colours."""
-        return sum(c.chi2_per_pixel * c.pixels for c in self.channels) / sum(
-            c.pixels for c in self.channels
-        )
+        """Of all colours."""
+        pixels = [c.pixels for c in self.channels]
+        return float(np.average([c.chi2_per_pixel for c in self.channels], weights=pixels))
+
+    @property
+    def disagreements(self) -> list[str]:
+        """Sentences on channels in which both methods contradict each other."""
+        return [
+            f"box {_box_words(self.box)}, {channel.disagreement}"
+            for channel in self.channels
+            if channel.disagreement
+        ]
 
     def as_json(self) -> dict[str, Any]:
-        """One entry of "edges", by the contract; what it does not name stands behind."""
+        """Return an entry of "edges": the keys of the contract, then others."""
         main = self.main
         return {
             "box": list(self.box),
             "angle_deg": round(main.angle_deg.value, DIGITS),
-            "range_mm": self.range_mm.as_json(),
-            "other_sign_mm": None if self.other is None else self.other.as_json(),
-            "mtf50_per_mm": main.fitted.mtf50.as_json(),
-            "esfr_mtf50_per_mm": None
-            if main.iso is None
-            else _finite(main.iso.mtf50.value),
-            "chi2_per_pixel": _finite(self.chi2_per_pixel),
-            "angle_std_deg": _finite(main.angle_deg.std),
-            "line_px": _nested(self.line),
+            "range_mm": self.range_mm,
+            "other_sign_mm": self.other,
+            "mtf50_per_mm": main.fitted.mtf50,
+            "esfr_mtf50_per_mm": main.iso and main.iso.mtf50.value,
+            "chi2_per_pixel": self.chi2_per_pixel,
+            "angle_std_deg": main.angle_deg.std,
+            "line_px": [[round(float(v), 2) for v in end] for end in self.line],
             "channels": [channel.as_json() for channel in self.channels],
         }
+
+    @property
+    def rows(self) -> list[list[str]]:
+        """Rows of the table, one for each colour."""
+        first = [
+            _box_words(self.box),
+            f"{self.main.angle_deg.value:.2f}°",
+            _shown(self.range_mm),
+            "" if self.other is None else _shown(self.other),
+        ]
+        heads = [first, *[[""] * len(first)] * (len(self.channels) - 1)]
+        return [[*head, *of.cells] for head, of in zip(heads, self.channels, strict=True)]
 
 
 @dataclass(frozen=True)
 class RejectedEdge:
-    """A box that gave no fit, and why, in one line. responses: by ISO 12233 in each channel, where it holds an edge that the
-    model does not explain."""
+    """A box without a fit, the reason in one line, and responses by ISO 12233 of an edge that the model does not explain."""
 
     box: Box
     why: str
     responses: Mapping[str, Esfr] = field(default_factory=dict)
 
     def as_json(self) -> dict[str, Any]:
-        """One entry of "rejected"."""
+        """Return an entry of "rejected"."""
         channels = [
             {
                 "channel": name,
-                "esfr_mtf50_per_mm": iso.mtf50.as_json(),
-                "esfr_mtf10_per_mm": iso.mtf10.as_json(),
+                "esfr_mtf50_per_mm": iso.mtf50,
+                "esfr_mtf10_per_mm": iso.mtf10,
                 "curve": {
-                    "per_mm": _rounded(iso.frequency_per_mm),
-                    "esfr": _rounded(iso.value),
-                    "esfr_std": _rounded(iso.std),
+                    "per_mm": iso.frequency_per_mm,
+                    "esfr": iso.value,
+                    "esfr_std": iso.std,
                 },
             }
             for name, iso in self.responses.items()
         ]
         return {"box": list(self.box), "why": self.why, "channels": channels}
 
+    @property
     def rows(self) -> list[list[str]]:
-        """Of the table, one for each channel with a response."""
+        """Rows of the table, one for each channel with a response."""
         return [
             [
-                *(box_words(self.box) if k == 0 else "", "", "", "", name, "not fitted"),
-                *("", _shown(iso.mtf50, False), "", _shown(iso.mtf10, False), ""),
+                *(_box_words(self.box) if k == 0 else "", "", "", "", name, "not fitted"),
+                *("", _bare(iso.mtf50), "", _bare(iso.mtf10), ""),
             ]
             for k, (name, iso) in enumerate(self.responses.items())
         ]
@@ -175,7 +228,7 @@ class RejectedEdge:
 
 @dataclass(frozen=True)
 class EdgesOutcome:
-    """All of a scene. wavefront: modes but defocus, waves RMS at the reference, where they were fitted along."""
+    """All edges of a scene. wavefront: modes but defocus, waves RMS at the reference, if estimated with the edges."""
 
     edges: tuple[MeasuredEdge, ...]
     rejected: tuple[RejectedEdge, ...]
@@ -183,69 +236,73 @@ class EdgesOutcome:
     wavefront: dict[int, Uncertain] = field(default_factory=dict)
 
     def as_json(self) -> dict[str, Any]:
-        """By the contract, schema 1."""
-        return {
-            "schema": 1,
-            "edges": [edge.as_json() for edge in self.edges],
-            "rejected": [of.as_json() for of in self.rejected],
-            "wavefront": {str(j): value.as_json() for j, value in self.wavefront.items()}
-            or None,
-            "warnings": list(self.warnings),
-        }
+        """Return the answer by the contract, schema 1."""
+        answer: dict[str, Any] = _json(
+            {
+                "schema": 1,
+                "edges": [edge.as_json() for edge in self.edges],
+                "rejected": [of.as_json() for of in self.rejected],
+                "wavefront": {str(j): value for j, value in self.wavefront.items()} or None,
+                "warnings": list(self.warnings),
+            }
+        )
+        return answer
 
     def rows(self) -> list[list[str]]:
-        """A heading, a row for each edge and colour, and one for each of what ISO 12233's method alone could measure."""
-        heading = [
-            *("box", "angle", "range", "or", "channel", "defocus, waves"),
-            *(
-                "MTF50 of the fit, cycles/mm",
-                "by ISO 12233",
-                "MTF10, cycles/mm",
-                "by ISO 12233",
-                "chi2/pixel",
-            ),
-        ]
-        rows = [heading]
-        for edge in self.edges:
-            for k, c in enumerate(edge.channels):
-                first = k == 0
-                rows.append(
-                    [
-                        ",".join(map(str, edge.box)) if first else "",
-                        f"{edge.main.angle_deg.value:.2f}°" if first else "",
-                        _shown(edge.range_mm) if first else "",
-                        _shown(edge.other) if first and edge.other is not None else "",
-                        c.channel,
-                        _shown(c.defocus)
-                        + (" or the reverse" if c.other_defocus is not None else ""),
-                        _shown(c.fitted.mtf50, False),
-                        "" if c.iso is None else _shown(c.iso.mtf50, False),
-                        _shown(c.fitted.mtf10, False),
-                        "" if c.iso is None else _shown(c.iso.mtf10, False),
-                        f"{c.chi2_per_pixel:.2f}",
-                    ]
-                )
-        return rows + [row for of in self.rejected for row in of.rows()]
+        """Return a heading and a row for each edge and colour, those measured by ISO 12233 alone last."""
+        rows = [row for edge in self.edges for row in edge.rows]
+        return [HEADING, *rows, *(row for of in self.rejected for row in of.rows)]
+
+    def write(self, folder: Path, image: Path, plan: Plan) -> list[Path]:
+        """Write edges.json and the depth map edges.png, and return their paths.
+
+        Raises InputError if they cannot be written.
+        """
+        from labkit.edges.depth_map import draw_depth_map
+        from labkit.figure_style import png, styled
+
+        with writing(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+        photograph = read_photograph(image, plan.sensor)
+        try:
+            grey = grey_image(photograph.light, photograph.pattern)
+        except TargetError:  # nearly even
+            rows, columns = photograph.shape
+            grey = photograph.light[:rows, :columns] / photograph.full_light
+        with styled():
+            picture = png(draw_depth_map(grey, self))
+        text = json.dumps(self.as_json(), indent=1, allow_nan=False).encode() + b"\n"
+        written = {"edges.json": text, "edges.png": picture}
+        for name, content in written.items():
+            write_atomically(folder / name, content)
+        return [folder / name for name in written]
 
 
-def _shown(value: Uncertain | None, unit: bool = True) -> str:
-    if value is None or not math.isfinite(value.value):
-        return "-"
-    return str(value if unit else Uncertain(value.value, value.std))
+def _json(value: Any) -> Any:
+    """Return a value for JSON: numbers that are not finite become null, arrays have six digits."""
+    match value:
+        case Uncertain():
+            return value.as_json()
+        case np.ndarray():
+            return [round(x, DIGITS) if math.isfinite(x) else None for x in value.tolist()]
+        case float():
+            return value if math.isfinite(value) else None
+        case list():
+            return [_json(each) for each in value]
+        case dict():
+            return {name: _json(each) for name, each in value.items()}
+    return value
 
 
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+def _shown(value: Uncertain) -> str:
+    return str(value) if math.isfinite(value.value) else "-"
 
 
-def _rounded(values: Floats) -> list[float | None]:
-    return [round(float(v), DIGITS) if math.isfinite(v) else None for v in values]
+def _bare(value: Uncertain) -> str:
+    """Return a number without its unit."""
+    return _shown(Uncertain(value.value, value.std))
 
 
-def _nested(values: Floats) -> list[list[float]]:
-    return [[round(float(v), 2) for v in row] for row in values]
-
-
-def box_words(box: Sequence[int]) -> str:
-    """As the command line takes it."""
+def _box_words(box: Sequence[int]) -> str:
+    """Return a box as the command line takes it."""
     return ",".join(map(str, box))

@@ -1,4 +1,4 @@
-"""An edge and the pixels around it: geometry, the mean that a camera sees of it, and its slopes (thesis 5.1-5.27)."""
+"""An edge and the pixels around it: geometry, the mean that a camera records of it, and its slopes (thesis 5.1-5.27)."""
 
 from dataclasses import dataclass, replace
 
@@ -10,16 +10,18 @@ from labkit.imaging.optics import Optics
 from labkit.types import Bools, Floats
 
 EDGE_SIZE = 4
-ANGLE, DISTANCE, NEAR, FAR = range(EDGE_SIZE)
-LEAST_PIXELS = 60  # in a region: an edge and its noise are six numbers
+LEAST_PIXELS = 60  # of a region: an edge and its noise are six numbers
 
 
 @dataclass(frozen=True)
 class Edge:
     """A straight line between two even sides. Thesis (5.1).
 
-    angle: of its normal, radians from x (right) towards y (down); distance_px: of the line from the region's centre along the
-    normal; near, far: radiance before and beyond it along the normal, counts.
+    Attributes
+    ----------
+    angle : of the normal, radians from x (right) towards y (down)
+    distance_px : of the line from the region's centre, along the normal
+    near, far : radiance before and beyond the line along the normal, counts
     """
 
     angle: float
@@ -29,29 +31,24 @@ class Edge:
 
     @classmethod
     def of(cls, theta: Floats) -> "Edge":
-        """From the vector of the estimate, (4,)."""
+        """Return the edge of a vector (4,) of the estimate."""
         return cls(*map(float, theta))
 
     @property
     def theta(self) -> Floats:
-        """(4,) as the estimate has it."""
+        """(4,) vector of the estimate."""
         return np.array([self.angle, self.distance_px, self.near, self.far])
-
-    @property
-    def contrast(self) -> float:
-        """Difference of the sides over their sum."""
-        return abs(self.far - self.near) / max(abs(self.far + self.near), 1e-12)
 
     @property
     def towards_light(self) -> "Edge":
         """The same line with its normal pointing to the brighter side."""
         if self.far >= self.near:
-            return Edge(_turned(self.angle), self.distance_px, self.near, self.far)
+            return replace(self, angle=_turned(self.angle))
         return Edge(_turned(self.angle + np.pi), -self.distance_px, self.far, self.near)
 
 
 def _turned(angle: float) -> float:
-    """Between -pi and pi."""
+    """Return an angle between -pi and pi."""
     return float((angle + np.pi) % (2 * np.pi) - np.pi)
 
 
@@ -59,9 +56,16 @@ def _turned(angle: float) -> float:
 class Region:
     """Pixels of one colour around an edge in one frame.
 
-    rows, columns: (n,) of the raw, pixel centres at integers; counts: (n,) with black removed; centre: (row, column) that
-    distances are counted from; frame: whose noise it has; depth: which of the unknown defoci; light: which of the colours.
-    Raises ValueError for arrays of different sizes or with too few pixels.
+    Attributes
+    ----------
+    rows, columns : (n,) in the raw, pixel centres at integers
+    counts : (n,) above black
+    centre : (row, column) that distances are counted from
+    frame, depth, light : places of its noise, its defocus and its colour among those of a problem
+
+    Raises
+    ------
+    ValueError : arrays of different sizes, or too few pixels
     """
 
     rows: Floats
@@ -75,9 +79,8 @@ class Region:
     def __post_init__(self) -> None:
         size = (np.size(self.rows),)
         for name, unit in (("rows", "pixels"), ("columns", "pixels"), ("counts", "counts")):
-            object.__setattr__(
-                self, name, real_array(name, getattr(self, name), size, unit)
-            )
+            array = real_array(name, getattr(self, name), size, unit)
+            object.__setattr__(self, name, array)
         if size[0] < LEAST_PIXELS:
             raise ValueError(
                 f"{size[0]} pixels around an edge: {LEAST_PIXELS} are needed at least"
@@ -89,32 +92,32 @@ class Region:
         return self.columns - self.centre[1], self.rows - self.centre[0]
 
     def across_and_along(self, edge: Edge) -> tuple[Floats, Floats]:
-        """(n,) distances beyond the line along its normal, and along the line, pixels: r and t of thesis (5.1)."""
+        """Return distances (n,) beyond the line along its normal, and along the line, pixels: r and t of thesis (5.1)."""
         x, y = self.offsets
         cosine, sine = np.cos(edge.angle), np.sin(edge.angle)
         return x * cosine + y * sine - edge.distance_px, y * cosine - x * sine
 
     def part(self, chosen: Bools) -> "Region":
-        """Only some of the pixels. chosen: (n,) mask. Raises ValueError where they are too few."""
-        arrays = {
-            name: getattr(self, name)[chosen] for name in ("rows", "columns", "counts")
-        }
-        return replace(self, **arrays)
+        """Return some of the pixels. chosen: (n,) mask. Raises ValueError for too few."""
+        return replace(
+            self,
+            rows=self.rows[chosen],
+            columns=self.columns[chosen],
+            counts=self.counts[chosen],
+        )
 
 
 def mean_and_slopes(
     region: Region, edge: Edge, optics: Optics, waves: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """(n,) mean counts; (4, n) slopes by angle, distance, near, far; (modes, n) slopes by the modes, per wave RMS.
+    """Return mean counts (n,), their slopes (4, n) by angle, distance, near and far, and (modes, n) per wave RMS.
 
     Thesis (5.12), (5.16), (5.20), (5.25)-(5.27).
     """
     across, along = region.across_and_along(edge)
     pitch_um = optics.pitch_um
-    spread = edge_spread(
-        optics, waves, edge.angle, float(np.abs(across).max()) * pitch_um + pitch_um
-    )
-    rows = spread.read(across * pitch_um)
+    reach_um = float(np.abs(across).max()) * pitch_um + pitch_um
+    rows = edge_spread(optics, waves, edge.angle, reach_um).read(across * pitch_um)
     step, line, by_waves, turning = rows[0], rows[1] * pitch_um, rows[2:-1], rows[-1]
     rise = edge.far - edge.near
     by_edge = np.stack([rise * (along * line + turning), -rise * line, 1 - step, step])

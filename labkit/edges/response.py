@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from labkit.edges.edge_fit import EdgeFit
 from labkit.edges.esfr import crossing
-from labkit.edges.joint import EdgeFit
 from labkit.edges.spread import camera_slice
 from labkit.types import Floats
 from labkit.uncertain import Uncertain

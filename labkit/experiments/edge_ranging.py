@@ -12,11 +12,11 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import kstest
 
-from labkit.edges.joint import EdgeProblem, EdgeState, LensPrior, fit_edges
-from labkit.edges.profile import near_focus, side_of
+from labkit.edges.defocus_sides import near_focus, side_of
+from labkit.edges.edge_fit import EdgeProblem, EdgeState, LensPrior, fit_edges
+from labkit.edges.first_fits import fit_depth, rough_edge
 from labkit.edges.ranges import FocusLaw, edge_range
 from labkit.edges.region import Region
-from labkit.edges.search import fit_depth, rough_edge
 from labkit.estimation.climb import NoisePrior
 from labkit.experiments.edge_camera import EdgeCamera
 from labkit.experiments.runner import Claim, Outcome, Setting, all_answers

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from labkit.edges.profile import _sides, near_focus, sides_of
+from labkit.edges.defocus_sides import _sides, near_focus, sides_of
 from labkit.edges.ranges import Side
 from tests.physics.test_edge_fit import region, searched
 

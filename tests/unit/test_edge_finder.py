@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
+from labkit.edges.first_fits import refuse_no_edge, rough_edge
 from labkit.edges.found_edges import find_edges
 from labkit.edges.region import Region
-from labkit.edges.search import refuse_no_edge, rough_edge
 from labkit.errors import DataError
 from labkit.types import Floats
 

@@ -46,14 +46,14 @@ MATHEMATICS = (
 
 ARRAYS = {
     "labkit/edges": [
+        "defocus_sides",
+        "edge_fit",
         "esfr",
+        "first_fits",
         "found_edges",
-        "joint",
-        "profile",
         "ranges",
         "region",
         "response",
-        "search",
         "spread",
     ],
     "labkit/restoration": [

@@ -1,0 +1,354 @@
+"""The joint model of edges and its maximum of likelihood (thesis 5.33-5.69).
+
+Unknowns in the thesis's order: [alpha, c1, c2, sigma_r, beta, theta]: modes but defocus, common to all edges; for each
+frame its gain and read variance; for each depth its defocus; for each edge angle, distance and two radiances. Of a frame's
+c1, c2 and sigma_r and its edges' radiances two combinations change nothing (a common factor and a common offset of the
+radiances; only the variance depends on c1 and c2 alone, as gain and as a part of the read variance). So radiances are in
+counts above black, and a frame has two numbers: its gain c1 in counts per electron and the variance sigma_r^2 - c1 c2,
+both as logarithms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from labkit.edges.region import EDGE_SIZE, Edge, Region, mean_and_slopes
+from labkit.estimation.climb import NoisePrior, Position, Step, climb, damped_step
+from labkit.estimation.identifiability import inverse
+from labkit.estimation.likelihood import Slopes
+from labkit.imaging.optics import Optics
+from labkit.optics.wavefront import DEFOCUS
+from labkit.types import Floats
+
+NOISE_SIZE = 2  # log gain, log read variance of a frame
+MOST_NOISE_STEP = 1.0
+MOST_WAVES_STEP = (
+    0.5  # near best focus the information on defocus vanishes: a step by it is unbounded
+)
+EXACTLY, ROUGHLY = (
+    0.03,
+    0.3,
+)  # standard errors of the last step, and of a fit that only starts another
+USUAL_MODE_STD = 0.05  # waves RMS of a mode of an unknown lens
+
+
+@dataclass(frozen=True)
+class LensPrior:
+    """Prior for the modes but defocus.
+
+    Attributes
+    ----------
+    mean : (m,) waves RMS at the reference
+    covariance : (m, m), positive
+
+    Raises
+    ------
+    ValueError : other shapes, or a covariance that is not positive
+    """
+
+    mean: Floats
+    covariance: Floats
+    precision: Floats = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        modes = len(self.mean)
+        shaped = self.covariance.shape == (modes, modes)
+        if not shaped or not np.all(np.linalg.eigvalsh(self.covariance) > 0):
+            raise ValueError(
+                f"{modes} modes need a positive covariance ({modes}, {modes}), waves RMS squared"
+            )
+        object.__setattr__(self, "precision", np.linalg.inv(self.covariance))
+
+    @classmethod
+    def unknown(cls, modes: int, std: float = USUAL_MODE_STD) -> LensPrior:
+        """Return the prior for an unknown lens."""
+        return cls(np.zeros(modes), std**2 * np.eye(modes))
+
+
+@dataclass(frozen=True)
+class EdgeState:
+    """A point of the parameter space.
+
+    Attributes
+    ----------
+    modes : (m,) alpha, waves RMS
+    log_noise : (frames, 2)
+    defoci : (depths,) beta, waves RMS
+    edges : (regions, 4) theta
+    """
+
+    modes: Floats
+    log_noise: Floats
+    defoci: Floats
+    edges: Floats
+
+    @property
+    def vector(self) -> Floats:
+        """All parameters in the thesis's order."""
+        parts = (self.modes, self.log_noise, self.defoci, self.edges)
+        return np.concatenate([part.ravel() for part in parts])
+
+    @property
+    def starts(self) -> tuple[int, int, int]:
+        """Places in `vector` of the first number of the noise, of the defoci and of the edges."""
+        noise = self.modes.size
+        defoci = noise + self.log_noise.size
+        return noise, defoci, defoci + self.defoci.size
+
+    def at(self, vector: Floats) -> EdgeState:
+        """Return the state of another vector."""
+        modes, noise, defoci, edges = np.split(vector, self.starts)
+        return EdgeState(
+            modes, noise.reshape(-1, NOISE_SIZE), defoci, edges.reshape(-1, EDGE_SIZE)
+        )
+
+    def moved(self, step: Floats) -> EdgeState:
+        """Return the state after a step, which changes noise by a factor of e and modes by half a wave at most."""
+        noise, defoci, edges = self.starts
+        limit = np.full(step.size, np.inf)
+        limit[:edges] = MOST_WAVES_STEP
+        limit[noise:defoci] = MOST_NOISE_STEP
+        return self.at(self.vector + np.clip(step, -limit, limit))
+
+    def edge(self, k: int) -> Edge:
+        """Return the edge of a region."""
+        return Edge.of(self.edges[k])
+
+
+@dataclass(frozen=True)
+class EdgeProblem:
+    """Regions, their camera and its priors.
+
+    Attributes
+    ----------
+    optics : of each colour, with the same modes, defocus first; the other modes are one path difference for all colours
+    regions : regions of all frames and colours
+    noise : prior for each frame, and colour
+    lens : prior for the modes but defocus
+
+    Raises
+    ------
+    ValueError : sizes that contradict each other
+    """
+
+    optics: tuple[Optics, ...]
+    regions: tuple[Region, ...]
+    noise: tuple[NoisePrior, ...]
+    lens: LensPrior
+
+    def __post_init__(self) -> None:
+        if any(of.noll != self.noll for of in self.optics) or self.noll[:1] != (DEFOCUS,):
+            raise ValueError(
+                f"noll = {[of.noll for of in self.optics]}: the same of all colours is needed, defocus first"
+            )
+        if len(self.lens.mean) != len(self.noll) - 1:
+            raise ValueError(
+                f"{len(self.lens.mean)} modes in the lens's prior: {len(self.noll) - 1} are needed"
+            )
+        if not self.regions or max(r.frame for r in self.regions) >= len(self.noise):
+            raise ValueError(
+                f"{len(self.regions)} regions, noise of {len(self.noise)} frames: each needs its frame's"
+            )
+
+    @property
+    def noll(self) -> tuple[int, ...]:
+        """The modes, defocus first."""
+        return self.optics[0].noll
+
+    @property
+    def depths(self) -> int:
+        """Number of defoci."""
+        return max(region.depth for region in self.regions) + 1
+
+    def optics_of(self, k: int) -> Optics:
+        """Return the optics of a region's colour."""
+        return self.optics[self.regions[k].light]
+
+    def waves(self, state: EdgeState, k: int) -> Floats:
+        """Return the wavefront (modes,) of a region."""
+        return np.concatenate([state.defoci[self.regions[k].depth, None], state.modes])
+
+    def start(
+        self,
+        defoci: Sequence[float],
+        edges: Sequence[Edge],
+        log_noise: Floats | None = None,
+    ) -> EdgeState:
+        """Return a state with these defoci, edges and noise (frames, 2), all else at its prior mean."""
+        expected = np.array([of.centre for of in self.noise])
+        return EdgeState(
+            self.lens.mean.copy(),
+            expected if log_noise is None else log_noise,
+            np.array(defoci, float),
+            np.array([edge.theta for edge in edges]),
+        )
+
+    def slopes(self, state: EdgeState, k: int) -> tuple[Slopes, list[int]]:
+        """Return a region's mean and variance with slopes, (5.47)-(5.48), and the places of their parameters.
+
+        The places are of the mean's parameters, then of the noise's two.
+        """
+        region = self.regions[k]
+        mean, by_edge, by_waves = mean_and_slopes(
+            region, state.edge(k), self.optics_of(k), self.waves(state, k)
+        )
+        gain, read_variance = np.exp(state.log_noise[region.frame])
+        noise, defoci, edges = state.starts
+        noise += NOISE_SIZE * region.frame
+        edges += EDGE_SIZE * k
+        places = [defoci + region.depth, *range(state.modes.size)]
+        places += [*range(edges, edges + EDGE_SIZE), *range(noise, noise + NOISE_SIZE)]
+        of_mean = np.concatenate([by_waves, by_edge])
+        return Slopes(mean, gain, read_variance, of_mean=of_mean), places
+
+    def score(self, state: EdgeState) -> tuple[float, Floats, Floats]:
+        """Return log-likelihood, gradient (p,) and Fisher information (p, p), priors included.
+
+        Thesis (5.49)-(5.69), (3.15), (3.19).
+        """
+        vector = state.vector
+        gradient, information = np.zeros(vector.size), np.zeros((vector.size, vector.size))
+        total = 0.0
+        for k, region in enumerate(self.regions):
+            of, places = self.slopes(state, k)
+            total += of.log_likelihood(region.counts)
+            gradient[places] += of.gradient(region.counts)
+            information[np.ix_(places, places)] += of.information()
+        mean, precision = self._prior
+        known = slice(0, mean.size)
+        away = vector[known] - mean
+        gradient[known] -= precision @ away
+        information[known, known] += precision
+        return total - 0.5 * float(away @ precision @ away), gradient, information
+
+    @cached_property
+    def _prior(self) -> tuple[Floats, Floats]:
+        """Mean and precision of the parameters with a prior: modes and noise, the first ones."""
+        mean = np.concatenate([self.lens.mean, *(of.centre for of in self.noise)])
+        noise = np.concatenate([of.precision for of in self.noise])
+        return mean, np.asarray(block_diag(self.lens.precision, np.diag(noise)))
+
+    def alone(self, k: int) -> EdgeProblem:
+        """Return the problem of one region."""
+        region = self.regions[k]
+        return EdgeProblem(
+            (self.optics_of(k),),
+            (replace(region, frame=0, depth=0, light=0),),
+            (self.noise[region.frame],),
+            self.lens,
+        )
+
+
+@dataclass(frozen=True)
+class EdgeFit:
+    """The end of a maximisation.
+
+    Attributes
+    ----------
+    problem, state : the regions, and the estimate
+    objective : log-likelihood, priors included
+    covariance : (p, p) in the thesis's order
+    """
+
+    problem: EdgeProblem
+    state: EdgeState
+    objective: float
+    covariance: Floats
+
+    def defocus(self, depth: int = 0) -> tuple[float, float]:
+        """Return a defocus, waves RMS at the reference, and its standard error."""
+        variance = self.defocus_covariance([depth])[0, 0]
+        return float(self.state.defoci[depth]), float(np.sqrt(variance))
+
+    def defocus_covariance(self, depths: Sequence[int]) -> Floats:
+        """Return the covariance (n, n) of some defoci, waves RMS squared."""
+        at = self.state.starts[1] + np.asarray(depths)
+        return np.asarray(self.covariance[np.ix_(at, at)])
+
+    def wavefront_covariance(self, depth: int = 0) -> Floats:
+        """Return the covariance (modes, modes) of a wavefront, defocus first."""
+        at = [self.state.starts[1] + depth, *range(self.state.modes.size)]
+        return np.asarray(self.covariance[np.ix_(at, at)])
+
+    @property
+    def lens(self) -> LensPrior:
+        """The estimated modes, as a prior for other fits."""
+        modes = self.state.modes.size
+        covariance = self.covariance[:modes, :modes] + TINY_VARIANCE * np.eye(modes)
+        return LensPrior(self.state.modes, covariance)
+
+    def edge_std(self, k: int) -> Floats:
+        """Return standard errors (4,) of an edge's angle (radians), distance (pixels) and radiances (counts)."""
+        first = self.state.starts[2] + EDGE_SIZE * k
+        return np.asarray(np.sqrt(np.diag(self.covariance)[first : first + EDGE_SIZE]))
+
+    def residuals(self, k: int) -> Floats:
+        """Return a region's residuals (n,), in standard deviations."""
+        of, _ = self.problem.slopes(self.state, k)
+        return np.asarray((self.problem.regions[k].counts - of.mean) / np.sqrt(of.variance))
+
+
+TINY_VARIANCE = (
+    1e-12  # waves squared, so that the prior of exactly known modes is a distribution
+)
+
+
+def fit_edges(
+    problem: EdgeProblem,
+    start: EdgeState,
+    tolerance: float = EXACTLY,
+    max_steps: int = 40,
+    held: Sequence[int] = (),
+) -> EdgeFit:
+    """Climb to the maximum of the likelihood near a start.
+
+    Parameters
+    ----------
+    problem : regions and their camera
+    start : where to begin
+    tolerance, max_steps : as in `labkit.estimation.climb.climb`
+    held : places, in the thesis's order, of parameters that stay
+
+    Raises
+    ------
+    ValueError : at no defocus and no other mode the likelihood is flat in defocus by symmetry: start elsewhere
+        (`labkit.edges.first_fits`)
+    """
+    if np.any((start.defoci == 0) & (np.abs(start.modes).sum() == 0)):
+        raise ValueError(
+            "no defocus and no other mode: the likelihood is flat there by symmetry; start elsewhere"
+        )
+    first = _Scored(problem, start, tuple(held))
+    end, _, _ = climb(first, tolerance=tolerance, max_steps=max_steps)
+    return EdgeFit(problem, end.state, end.objective, inverse(end.scored[2]))
+
+
+@dataclass(frozen=True, eq=False)
+class _Scored(Position):
+    """A position of a climb over edges."""
+
+    problem: EdgeProblem
+    state: EdgeState
+    held: tuple[int, ...]
+
+    @cached_property
+    def scored(self) -> tuple[float, Floats, Floats]:
+        return self.problem.score(self.state)
+
+    @property
+    def objective(self) -> float:
+        return self.scored[0]
+
+    def step(self, damping: float) -> Step:
+        _, gradient, information = self.scored
+        free = np.ones(gradient.size)
+        free[list(self.held)] = 0
+        return damped_step(gradient * free, information * np.outer(free, free), damping)
+
+    def moved(self, change: Floats) -> _Scored:
+        return replace(self, state=self.state.moved(change))
