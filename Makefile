@@ -4,9 +4,10 @@
 PYTHON ?= $(firstword $(shell for p in python3 python3.13 python3.12 python3.11 python3.14; do \
 	$$p -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p; done; true))
 BIN := .venv/bin
-# Tests run one process a core; more threads than that only get in each other's way. A file stays with one process, which makes
-# what its tests share once; the longest files come first (testpaths).
+# A process has one thread; more only get in each other's way. A file stays with one process, which makes what its tests share
+# once; the longest files come first (testpaths). Tests of devices wait most of their time: three processes keep two cores busy.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
+PROCESSES := $(shell expr 3 \* $$(getconf _NPROCESSORS_ONLN) / 2)
 
 .PHONY: picture demo test fast coverage lowest chromium umockdev check types docs bench readme sony-raw clean
 
@@ -14,7 +15,7 @@ demo: .venv/installed
 	$(BIN)/labkit demo
 
 test: .venv/installed-test chromium umockdev
-	$(ONE_THREAD) $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
+	$(ONE_THREAD) $(BIN)/python -m pytest -n $(PROCESSES) --dist loadfile --no-loadscope-reorder
 
 # What says within a minute whether something is broken.
 FAST := $(ONE_THREAD) BIN/python -m pytest -q -n auto --dist worksteal -m 'not slow' tests/unit
@@ -24,7 +25,7 @@ fast: .venv/installed-test
 # COVERAGE_OF: the tests that are counted.
 COVERAGE_OF ?= tests
 coverage: .venv/installed-test
-	$(ONE_THREAD) $(BIN)/python -m pytest -q -n auto --dist loadfile --no-loadscope-reorder --cov --cov-report=term --cov-report=html:build/coverage $(COVERAGE_OF)
+	$(ONE_THREAD) $(BIN)/python -m pytest -q -n $(PROCESSES) --dist loadfile --no-loadscope-reorder --cov --cov-report=term --cov-report=html:build/coverage $(COVERAGE_OF)
 
 # The oldest versions that pyproject.toml allows, installed and tried.
 OLDEST := import tomllib; p = tomllib.load(open("pyproject.toml", "rb"))["project"]; \

@@ -82,7 +82,7 @@ def work(task: Task) -> Answer:
 
 def run(setting: Setting) -> Outcome:
     """Measure mean times over wavefronts of 0.25 waves with 7 and with 12 modes."""
-    cap = 20.0 if setting.quick else 600.0
+    cap = 4.0 if setting.quick else 600.0
     tasks = [
         Task(noll, seed, cap)
         for noll in (SEVEN, NOLL)

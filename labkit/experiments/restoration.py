@@ -48,7 +48,7 @@ WAVES = np.array(
 )
 GAIN, READ_NOISE, WHITE = 0.45, 1.13, 10_350.0  # counts an electron, counts, counts
 FRAME, TORUS, SQUARES, SAMPLES, GUARD = 64, 112, 2, 6, 16
-QUICK_SAMPLES = 3
+QUICK_SAMPLES = 2
 INSIDE_PX = 8  # from the border, where the frame's end no longer counts
 FRAMES = 4
 GRANTED = {

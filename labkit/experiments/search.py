@@ -39,7 +39,7 @@ CONDITIONS = (
     *(Condition(75.0, waves_rms=waves_rms, trials=20) for waves_rms in (0.35, 0.5)),
     *(Condition(75.0, NOLL_22, waves_rms, trials=10) for waves_rms in (0.25, 0.35, 0.5)),
 )
-QUICK = (Condition(50.0, trials=2), Condition(75.0, waves_rms=0.35, trials=1))
+QUICK = (Condition(50.0, trials=1), Condition(75.0, waves_rms=0.35, trials=1))
 
 
 @dataclass(frozen=True)

@@ -17,11 +17,11 @@ from .simulate import write_session
 Floats = npt.NDArray[np.float64]
 
 
-def import_and_fit(folder: Path, session: Path) -> None:
+def import_and_fit(folder: Path, session: Path, *options: str) -> None:
     """Import and fit through the commands, as a lab would."""
     for command in (
         ["import", str(folder / "frames.csv"), str(folder / "plan.toml"), str(session)],
-        ["fit", str(session), "--workers", "1"],
+        ["fit", str(session), "--workers", "1", *options],
     ):
         if (status := run([*command, "--quiet"])) != 0:
             raise RuntimeError(f"labkit {' '.join(command)} ended with status {status}")

@@ -194,34 +194,6 @@ def test_the_camera_is_found(golden: Golden) -> None:
         assert abs(error) < limit(golden.claim, "spread_px")
 
 
-@of("golden_dslr")  # without parts: tests/system/test_golden_small.py
-def test_a_climb_over_all_frames_at_once_finds_no_more_where_parts_were_fitted(
-    golden: Golden,
-) -> None:
-    session = golden.folder.parents[1]
-    assert (
-        run(
-            [
-                "fit",
-                str(session),
-                "--channel",
-                "G",
-                "--joint",
-                "--name",
-                "joint",
-                "--workers",
-                "1",
-                "--quiet",
-            ]
-        )
-        == 0
-    )
-    joint = json.loads((session / "results/joint/results.json").read_text())["joint"]
-    assert (
-        max(joint.values()) < 0.003
-    )  # standard errors: 0.0014 measured; 0.7 by fits expanded where each ended
-
-
 @of(*EXPLAINED)
 def test_the_model_explains_the_frames(golden: Golden) -> None:
     assert all(fit["model"]["accepted"] for fit in golden.measured["wavefronts"])
