@@ -153,9 +153,12 @@ def stated(f: float, n: float, **changed: Any) -> Stated:
 
 def lens_of(every: Sequence[Observed], plan: Stated, of: Laws | None = None) -> LensFit:
     """The lens of observations that all belong, with the signs that they have, under given laws: the strictest, if none."""
-    n = len(every)
     return exact_lens(
-        every, np.zeros(n, np.intp), np.ones(n, bool), plan, laws=of or Laws()
+        [one.reading for one in every],
+        [measured_of(one) for one in every],
+        np.ones(len(every), bool),
+        plan,
+        laws=of or Laws(),
     )
 
 

@@ -14,7 +14,12 @@ from threadpoolctl import threadpool_limits
 from labkit.analysis.kept_fits import FOLDER, KeptFits
 from labkit.analysis.observe import observe
 from labkit.analysis.plan_doubts import plan_findings
-from labkit.analysis.session_parts import camera_findings, higher_modes, model_parts
+from labkit.analysis.session_parts import (
+    camera_findings,
+    higher_modes,
+    in_words,
+    model_parts,
+)
 from labkit.analysis.session_results import (
     as_focus,
     as_lens,
@@ -26,11 +31,6 @@ from labkit.analysis.steps import Steps
 from labkit.errors import DataError, FitError, InputError, SessionError
 from labkit.estimation.candidate import mostly_unexplained
 from labkit.estimation.estimate import Estimate
-from labkit.estimation.findings import (
-    model_incomplete_everywhere,
-    residuals_not_noise,
-    undetermined,
-)
 from labkit.estimation.joint import refined, refit_jointly
 from labkit.estimation.light_width import widest_light_nm
 from labkit.estimation.mistakes import with_doubts
@@ -39,9 +39,17 @@ from labkit.estimation.observation import Observation
 from labkit.estimation.searches import fit_task
 from labkit.estimation.session import estimate
 from labkit.estimation.split import Change, find_change
-from labkit.estimation.stated import Stated, wanted_parts
+from labkit.estimation.stated import wanted_parts
 from labkit.execute import Run, Workers, default_workers
-from labkit.findings import Finding, each_once, found, unanswered
+from labkit.findings import (
+    Finding,
+    each_once,
+    found,
+    model_incomplete_everywhere,
+    residuals_not_noise,
+    unanswered,
+    undetermined,
+)
 from labkit.key import Key, same_range
 from labkit.panel.seen_pixels import (
     PLAIN_CONTRAST,
@@ -174,19 +182,14 @@ def _fitted(
         assumed += _panel_findings(plan, target, observations)
         kept = KeptFits(mapped, folder / FOLDER)
         targets = {o.channel: as_shown(plan, target, o.channel) for o in observations}
-        stated = Stated.of(plan)
-        fits = refined(
-            estimate(observations, plan, targets, kept, steps, patience_s, plain),
-            targets,
-            stated,
-            steps.counted(kept),
-        )
+        fits = estimate(observations, plan, targets, kept, steps, patience_s, plain)
+        fits = refined(fits, targets, steps.counted(kept))
         together = (
-            refit_jointly(fits, targets, stated, kept, steps.before)
+            refit_jointly(fits, targets, kept, steps.before)
             if joint and fits.lens is not None
             else None
         )
-        change = find_change(fits, stated)
+        change = find_change(fits)
 
     def results_of(fits: Estimate, wanted: bool = True) -> Results:
         return _results(fits, plan, checksum, noted, patience_s, wanted)
@@ -434,7 +437,7 @@ def _doubts(wavefronts: Sequence[Wavefront]) -> Iterator[Finding]:
         elif not (w.test.explains or told):
             confirmed_by = w.test.name if w.test.accepted else None
             yield residuals_not_noise(
-                w.key, w.test.p_value, w.chi2_per_pixel, w.missing, confirmed_by
+                w.key, w.test.p_value, w.chi2_per_pixel, in_words(w.missing), confirmed_by
             )
         low, high = USUAL_CHI2
         if not (low <= w.chi2_per_pixel <= high or told):

@@ -9,18 +9,19 @@ import numpy as np
 
 from labkit.analysis.session_results import as_focus, as_wavefronts
 from labkit.estimation.estimate import Estimate
-from labkit.estimation.findings import (
-    Moves,
-    camera_part_found,
-    camera_parts_missing,
-    stated_model_moves,
-)
 from labkit.estimation.laws import PART
 from labkit.estimation.lens_fit import LensFit
 from labkit.estimation.model_error import shift
-from labkit.findings import Finding, found
+from labkit.findings import (
+    Finding,
+    Moves,
+    camera_part_found,
+    camera_parts_missing,
+    found,
+    stated_model_moves,
+)
 from labkit.imaging.aperture import Aperture
-from labkit.imaging.optics import ESTIMATED
+from labkit.imaging.optics import ESTIMATED, OPTIONAL
 from labkit.optics.metrics import psf_difference, rms
 from labkit.optics.wavefront import FittedWavefront
 from labkit.optics.zernike import twin_signs
@@ -45,6 +46,11 @@ def model_parts(session: Estimate, plan: Plan) -> dict[str, Uncertain]:
     return quantities
 
 
+def in_words(parts: Collection[str]) -> dict[str, str]:
+    """Return camera parts in words, by name."""
+    return {name: OPTIONAL[name].words for name in parts}
+
+
 def camera_findings(
     session: Estimate,
     wavefronts: Sequence[Wavefront],
@@ -63,7 +69,9 @@ def camera_findings(
     findings = list[Finding]()
     if session.missing and session.lens is not None:
         findings.append(
-            camera_parts_missing(session.missing, _moves_by_missing(session, wavefronts))
+            camera_parts_missing(
+                in_words(session.missing), _moves_by_missing(session, wavefronts)
+            )
         )
     change = _change(session, wavefronts)
     findings += part_findings(
@@ -105,7 +113,9 @@ def part_findings(
                 lit_down=down.as_json(),
             )
         elif name not in wanted:
-            yield camera_part_found(name, values, gains.get(name), moves)
+            yield camera_part_found(
+                name, OPTIONAL[name].words, values, gains.get(name), moves
+            )
 
 
 def higher_modes(wavefronts: Sequence[Wavefront], plan: Plan) -> Iterator[Finding]:

@@ -9,7 +9,6 @@ import numpy as np
 
 from labkit.estimation.candidate import mostly_unexplained
 from labkit.estimation.estimate import Estimate, LocalFit
-from labkit.estimation.findings import two_camps
 from labkit.estimation.laws import (
     F_NUMBER,
     FOCAL_LENGTH,
@@ -24,7 +23,7 @@ from labkit.estimation.model_error import confirmed, shift
 from labkit.estimation.residuals import residual_frequencies
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.split import second_camp
-from labkit.findings import Finding, found
+from labkit.findings import Finding, found, two_camps
 from labkit.imaging.optics import Optics
 from labkit.key import Key
 from labkit.optics.known_bias import covariance_with_bias, error_with_bias
@@ -113,7 +112,8 @@ def _as_session_has_it(w: Wavefront, session: Estimate, k: int) -> Wavefront:
     assert row is not None
     values, covariance = lens.posterior(row)
     modes = len(w.noll)
-    covariance = covariance + np.diag(_model_scatter(session, lens))
+    if mostly_unexplained(fit.optimum.verdict.accepted for fit in session.fits):
+        covariance = covariance + np.diag(lens.model.mode_scatter())
     labels = lens.model.parts
     optics = session.fits[k].optics
     numbers = dict(zip(labels, values[modes:-2], strict=True))
@@ -143,15 +143,6 @@ def _light_nm(w: Wavefront, lens: LensFit) -> float:
         if lens.model.laws.mistaken == (WAVELENGTH, name):
             return w.wavelength_nm * float(np.exp(lens.value(WAVELENGTH, *name)))
     return w.wavelength_nm
-
-
-def _model_scatter(session: Estimate, lens: LensFit) -> Floats:
-    """Return variances (values,) of a fit's modes about the lens's, where the model is incomplete for most fits; else 0."""
-    modes = np.zeros(lens.model.values)
-    if mostly_unexplained(fit.optimum.verdict.accepted for fit in session.fits):
-        modes[: len(lens.model.noll)] = lens.model.laws.mode_scatter**2
-        modes[lens.model.defocus] = 0.0
-    return modes
 
 
 def as_focus(lens: LensFit) -> Focus | None:
@@ -268,7 +259,7 @@ def _search_findings(session: Estimate, patience_s: float) -> list[Finding]:
         if local.found.cut_short and k not in session.members
     ]
     findings += [found("fit-mended", keys[k]) for k in session.refitted_members]
-    if session.lens is not None and second_camp(session, session.lens.model.stated):
+    if second_camp(session):
         findings.append(
             two_camps(
                 [keys[k] for k in session.members], [keys[k] for k in session.outliers]

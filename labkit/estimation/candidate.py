@@ -52,7 +52,7 @@ class Measured:
     calibration : (values, values) part of the covariance due to errors of the flat frames
     foreshortening : ln of the scale along the tilt axis of the target less ln of the mean scale; and its standard error
     parts : labels of the parts' numbers
-    model : (values, values) part of the covariance due to residuals that are not noise alone; empty if they are noise
+    model : (values, values) part of the covariance due to residuals that are not noise alone; (1, 1), 0 if they are noise
     """
 
     noll: tuple[int, ...]
@@ -61,7 +61,7 @@ class Measured:
     calibration: Floats
     foreshortening: tuple[float, float] = (0.0, 0.0)
     parts: tuple[str, ...] = ()
-    model: Floats = field(default_factory=lambda: np.empty((0, 0)))
+    model: Floats = field(default_factory=lambda: np.zeros((1, 1)))
 
     @property
     def waves(self) -> Floats:
@@ -80,39 +80,35 @@ class Measured:
         if parts == self.parts:
             return self
         modes, size = len(self.noll), len(self.noll) + len(parts) + 2
-        at = [
-            *range(modes),
-            *(modes + parts.index(label) for label in self.parts),
-            size - 2,
-            size - 1,
-        ]
+        known = [modes + parts.index(label) for label in self.parts]
+        at = [*range(modes), *known, size - 2, size - 1]
         values = np.zeros(size)
         values[at] = self.values
-        covariance = np.eye(size) * SETTINGS.unknown**2
-        covariance[np.ix_(at, at)] = self.covariance
-        calibration = np.zeros((size, size))
-        calibration[np.ix_(at, at)] = self.calibration
-        model = np.zeros((size, size)) if self.model.size else self.model
-        if self.model.size:
-            model[np.ix_(at, at)] = self.model
+
+        def widened(part: Floats, unknown: float = 0.0) -> Floats:
+            whole = unknown**2 * np.eye(size)
+            whole[np.ix_(at, at)] = part
+            return whole
+
         return replace(
             self,
             values=values,
-            covariance=covariance,
-            calibration=calibration,
-            model=model,
+            covariance=widened(self.covariance, SETTINGS.unknown),
+            calibration=widened(self.calibration),
+            model=widened(self.model),
             parts=parts,
         )
 
     def twin(self) -> Measured:
         """Reverse the even modes: the twin makes the same pictures."""
-        both = np.outer(self.signs, self.signs)
+        signs = self.signs
+        both = np.outer(signs, signs)
         return replace(
             self,
-            values=self.values * self.signs,
+            values=self.values * signs,
             covariance=self.covariance * both,
             calibration=self.calibration * both,
-            model=self.model * both if self.model.size else self.model,
+            model=self.model * both,
         )
 
 
@@ -131,6 +127,10 @@ class Candidate:
     log_likelihood: float = 0.0
     explained: bool = True
 
+    def twin(self) -> Candidate:
+        """Reverse the even modes: the twin is as likely."""
+        return replace(self, measured=self.measured.twin())
+
 
 def mostly_unexplained(explained: Iterable[bool]) -> bool:
     """Whether the residuals of most fits are not noise alone: the model is then incomplete for all."""
@@ -144,3 +144,8 @@ class Observed:
 
     reading: Reading
     candidates: tuple[Candidate, ...] = ()
+
+    def candidate(self, choice: int) -> Candidate:
+        """Return candidate k for a choice 2 k, its twin for 2 k + 1."""
+        place, twin = divmod(choice, 2)
+        return self.candidates[place].twin() if twin else self.candidates[place]

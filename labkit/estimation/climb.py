@@ -25,7 +25,7 @@ from labkit.imaging.model import Evaluation, ForwardModel
 from labkit.imaging.scene import Drawing
 from labkit.imaging.warp import POSE_SIZE, Pose
 from labkit.optics.zernike import mode_name
-from labkit.types import Floats
+from labkit.types import Floats, Indices
 
 OF_A_FRAME = (*(f"pose {i}" for i in range(POSE_SIZE)), "scale", "ambient light")
 PER_FRAME = len(OF_A_FRAME)
@@ -225,6 +225,15 @@ class State:
         light = [f"unevenness {k + 1}" for k in range(self.unevenness.size)]
         return (*map(mode_name, noll), *frames, *light, "log gain", "log read variance")
 
+    def places(self, rows: int) -> list[Indices]:
+        """Return the places of each frame's parameters among all. rows: number of derivatives by modes and camera."""
+        first = max(rows, self.waves.size)
+        end = first + PER_FRAME * len(self.poses)
+        common = np.arange(end, end + self.unevenness.size + NOISE)
+        return [
+            np.r_[:rows, at : at + PER_FRAME, common] for at in range(first, end, PER_FRAME)
+        ]
+
     def moved(self, step: Floats) -> State:
         """Return the state after a step in all parameters: modes; pose, scale, ambient of each frame; unevenness; noise."""
         modes, common = self.waves.size, self.unevenness.size + NOISE
@@ -335,19 +344,14 @@ class Problem:
         self, state: State, evaluations: Sequence[Evaluation]
     ) -> tuple[Floats, Floats, list[Score]]:
         """Assemble gradient and information from evaluations, which may include derivatives by camera parameters."""
-        given = len(evaluations[0].by_waves)
-        modes, common = max(given, state.waves.size), state.unevenness.size + NOISE
-        size = modes + PER_FRAME * len(self.frames) + common
+        places = state.places(len(evaluations[0].by_waves))
+        size = 1 + int(places[0][-1])
         gradient, information = np.zeros(size), np.zeros((size, size))
         scores = [
             score(e, f, d)
             for e, f, d in zip(evaluations, self.frames, state.detectors(), strict=True)
         ]
-        for k, of_frame in enumerate(scores):
-            at_frame = np.arange(PER_FRAME) + modes + k * PER_FRAME
-            index = np.concatenate(
-                [np.arange(given), at_frame, np.arange(size - common, size)]
-            )
+        for index, of_frame in zip(places, scores, strict=True):
             gradient[index] += of_frame.gradient
             information[np.ix_(index, index)] += of_frame.information
         gradient[-NOISE:] -= self.noise.precision * (state.log_noise - self.noise.centre)

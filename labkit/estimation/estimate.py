@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from labkit.estimation.candidate import Observed, Reading
 from labkit.estimation.lens_fit import LensFit
@@ -48,10 +48,6 @@ class LocalFit:
         """Whether the fit contributes to the lens."""
         return is_ranged(self.observation, self.optimum.noll)
 
-    def with_optimum(self, optimum: Optimum) -> LocalFit:
-        """Return the fit with another optimum."""
-        return replace(self, optimum=optimum)
-
 
 @dataclass(frozen=True)
 class Estimate:
@@ -90,6 +86,12 @@ class Estimate:
     def trusted(self) -> tuple[int, ...]:
         """The members, or all fits if there is no lens."""
         return self.members or tuple(range(len(self.fits)))
+
+    def row(self, k: int) -> int:
+        """Return the place of fit k among the observations of the lens. Raise ValueError if it does not contribute."""
+        if (row := self.rows[k]) is None:
+            raise ValueError(f"fit {k} does not contribute to the lens")
+        return row
 
     def with_stated_camera(self, k: int) -> LocalFit | None:
         """Return fit k without the parts that were added; None if no part was, or if memory was too short for some fits."""

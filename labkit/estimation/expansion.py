@@ -104,30 +104,13 @@ class Expansion:
         return covariance @ gradient, covariance
 
     @cached_property
+    def _optimum(self) -> tuple[Floats, Floats]:
+        """Newton's step and the covariance at the optimum, without a prior on the f-number."""
+        return self.newton(self.optics.camera_stds**-2)
+
+    @cached_property
     def _scattered(self) -> tuple[Floats, Floats]:
         return _scattered(self.problem, self.state, self.evaluations)
-
-    @property
-    def flats(self) -> Floats:
-        """(p, p) part of the gradient's covariance due to errors of the flat frames."""
-        return self._scattered[0]
-
-    @property
-    def scattered(self) -> Floats:
-        """(p, p) covariance of the gradient, estimated from the scatter of blocks of pixels."""
-        return self._scattered[1]
-
-    def surplus(self, covariance: Floats) -> Floats:
-        """Return the growth (p, p) of a covariance (p, p) of the optimum if residuals are not noise alone.
-
-        The covariance grows to the sandwich's in every direction in which the sandwich's is larger: H. White, Econometrica
-        50, 1 (1982).
-        """
-        values, vectors = np.linalg.eigh(covariance)
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
-        beyond, along = np.linalg.eigh(root.T @ (self.scattered - self.information) @ root)
-        grown = root @ along * np.sqrt(np.maximum(beyond, 0.0))
-        return np.asarray(grown @ grown.T)
 
     @property
     def objective(self) -> float:
@@ -187,28 +170,36 @@ class Expansion:
 
     def measured(self) -> Measured:
         """Return the Gaussian of modes, camera parameters and scale."""
-        step, covariance = self.newton(self.optics.camera_stds**-2)
+        step, covariance = self._optimum
         pulled = self.projection @ covariance
-        values = self.values + self.projection @ self.within(step, covariance)
+        flats, _ = self._scattered
         at = self.camera.stop + np.arange(POSE_SIZE)
         return Measured(
             self.optics.noll,
-            values,
+            self.values + self.projection @ self.within(step, covariance),
             pulled @ self.projection.T,
-            pulled @ self.flats @ pulled.T,
+            pulled @ flats @ pulled.T,
             _foreshortening(self.moved(step).poses[0], covariance[np.ix_(at, at)]),
             self.optics.camera_labels,
         )
 
     def sandwich(self, measured: Measured) -> Measured:
-        """Return a measurement with the larger errors that hold if residuals are not noise alone."""
-        _, covariance = self.newton(self.optics.camera_stds**-2)
-        model = self.projection @ self.surplus(covariance) @ self.projection.T
+        """Return a measurement with the larger errors that hold if residuals are not noise alone.
+
+        The covariance of the optimum grows to the sandwich's in every direction in which the sandwich's is larger: H. White,
+        Econometrica 50, 1 (1982).
+        """
+        values, vectors = np.linalg.eigh(self._optimum[1])
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        _, scattered = self._scattered
+        beyond, along = np.linalg.eigh(root.T @ (scattered - self.information) @ root)
+        grown = self.projection @ root @ along * np.sqrt(np.maximum(beyond, 0.0))
+        model = grown @ grown.T
         return replace(measured, covariance=measured.covariance + model, model=model)
 
     def at(self, values: Floats) -> tuple[State, Optics]:
         """Return the likeliest state and optics with given measured values (m,)."""
-        step, covariance = self.newton(self.optics.camera_stds**-2)
+        step, covariance = self._optimum
         pulled = self.projection @ covariance
         away = values - self.values - self.projection @ step
         step = step + pulled.T @ np.linalg.solve(pulled @ self.projection.T, away)
@@ -266,22 +257,18 @@ def _ended(
 ) -> Freed:
     """Return the end of a climb after a last step (p,), whose image is predicted from the slopes."""
     problem, modes = expansion.problem, expansion.state.waves.size
-    state, relative, measured = (
-        expansion.moved(step),
-        expansion.foreseen(step),
-        expansion.measured(),
-    )
+    state, relative = expansion.moved(step), expansion.foreseen(step)
+    others = np.delete(np.arange(len(step)), expansion.camera)
     solution = Solution(
         state,
         problem.objective(state, relative),
-        np.delete(
-            np.delete(expansion.information, expansion.camera, 0), expansion.camera, 1
-        ),
+        expansion.information[np.ix_(others, others)],
         relative,
         problem.chi2_per_pixel(state, relative),
         rounds,
         settled,
     )
+    measured = expansion.measured()
     return Freed(
         expansion,
         solution,
@@ -294,11 +281,9 @@ def _ended(
 
 def _stepped(problem: Problem, expansion: Expansion, step: Floats) -> tuple[Problem, Start]:
     """Return the problem, and where to begin, after a step (p,) from an expansion."""
-    before, start = expansion.state, Start(expansion.moved(step))
-    return replace(
-        problem,
-        model=with_optics_about(problem.model, expansion.optics_after(step), before),
-    ), start
+    optics = expansion.optics_after(step)
+    model = with_optics_about(problem.model, optics, expansion.state)
+    return replace(problem, model=model), Start(expansion.moved(step))
 
 
 def _camera_prior(optics: Optics, f_number_std: float) -> tuple[Floats, Floats]:
@@ -404,21 +389,13 @@ def _scattered(
 
     Residuals of neighbouring pixels may be correlated, those of blocks are not.
     """
-    modes, even, frames = (
-        len(evaluations[0].by_waves),
-        state.unevenness.size,
-        len(state.poses),
-    )
-    size = modes + PER_FRAME * frames + even + NOISE
+    places = state.places(len(evaluations[0].by_waves))
+    size = 1 + int(places[0][-1])
     flats, blocks = np.zeros((size, size)), np.zeros((size, SETTINGS.blocks**2))
-    for k, (evaluation, frame, detector) in enumerate(
-        zip(evaluations, problem.frames, state.detectors(), strict=True)
+    for index, evaluation, frame, detector in zip(
+        places, evaluations, problem.frames, state.detectors(), strict=True
     ):
         of = slopes(evaluation, frame, detector)
-        at_frame = np.arange(PER_FRAME) + modes + k * PER_FRAME
-        index = np.concatenate(
-            [np.arange(modes), at_frame, np.arange(size - NOISE - even, size)]
-        )
         weighted = of.of_mean * (frame.relative_std[frame.used] * of.mean / of.variance)
         flats[np.ix_(index[:-NOISE], index[:-NOISE])] += weighted @ weighted.T
         by_mean, by_variance = of.pulls(frame.counts[frame.used])

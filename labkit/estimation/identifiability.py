@@ -53,10 +53,8 @@ def bound_of(information: Floats, names: Sequence[str]) -> Bound:
     information = symmetric(
         "information", information, len(names), "of the parameters' units, inverse squared"
     )
-    diagonal = np.diag(information)
-    scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
-    open_ = values < SINGULAR * len(names) * max(1.0, values[-1])
+    scale, values, vectors, least = _scaled(information)
+    open_ = values < least
     inverse = (vectors[:, ~open_] / values[~open_]) @ vectors[:, ~open_].T
     covariance = inverse * np.outer(scale, scale)
     lost = np.flatnonzero(np.abs(vectors[:, open_]).max(axis=1, initial=0.0) > 1e-6)
@@ -69,11 +67,16 @@ def bound_of(information: Floats, names: Sequence[str]) -> Bound:
 
 def inverse(information: Floats) -> Floats:
     """Return the inverse (p, p) of an information matrix: entries are huge where the matrix is singular, never infinite."""
+    scale, values, vectors, least = _scaled(information)
+    return np.asarray((vectors / values.clip(least)) @ vectors.T * np.outer(scale, scale))
+
+
+def _scaled(information: Floats) -> tuple[Floats, Floats, Floats, float]:
+    """Return the scale (p,) that makes the diagonal 1, the eigenvalues and eigenvectors then, and the least regular value."""
     diagonal = np.diag(information)
     scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
-    least = SINGULAR * len(values) * max(1.0, values[-1])
-    return np.asarray((vectors / values.clip(least)) @ vectors.T * np.outer(scale, scale))
+    return scale, values, vectors, SINGULAR * len(values) * max(1.0, float(values[-1]))
 
 
 def worse_than(error: float, covariance: Floats, names: Sequence[str]) -> tuple[str, ...]:

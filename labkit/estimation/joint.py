@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labkit.errors import LostTasksError
-from labkit.estimation.candidate import Candidate, Measured, Observed
+from labkit.estimation.candidate import Measured
 from labkit.estimation.climb import Problem, Start, State
 from labkit.estimation.estimate import Estimate
 from labkit.estimation.expansion import expand
@@ -16,7 +16,6 @@ from labkit.estimation.lens_fit import LensFit
 from labkit.estimation.local import Views
 from labkit.estimation.select import exact_lens
 from labkit.estimation.settings import SETTINGS
-from labkit.estimation.stated import Stated
 from labkit.execute import Run
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
@@ -75,7 +74,6 @@ class Joint:
 def refit_jointly(
     session: Estimate,
     targets: Mapping[str, Target],
-    stated: Stated,
     run: Run,
     progress: Progress,
 ) -> Joint:
@@ -89,7 +87,6 @@ def refit_jointly(
     ----------
     session : the two-level estimate
     targets : the target as shown to each channel
-    stated : the plan's numbers
     run : maps the legs
     progress : called with each step
 
@@ -112,15 +109,13 @@ def refit_jointly(
         likelihoods.append(
             sum(one.log_likelihood for one in reached) - 0.5 * _prior_chi2(lens)
         )
-        lens = _lens_of(session, reached, first, stated)
+        lens = _lens_of(session, reached, first)
         if max(_differences(lens, before).values()) < SETTINGS.converged_stds:
             break
     return Joint(lens, _differences(lens, first), tuple(likelihoods))
 
 
-def refined(
-    session: Estimate, targets: Mapping[str, Target], stated: Stated, run: Run
-) -> Estimate:
+def refined(session: Estimate, targets: Mapping[str, Target], run: Run) -> Estimate:
     """Replace the lens by the lens after the joint climb's first step, where camera parts were fitted.
 
     In squares of a filter's spread the likelihood is less parabolic than in other parameters, and the session's spread lies
@@ -134,7 +129,7 @@ def refined(
         reached = _all_reached(session, targets, session.lens, _optima(session), run)
     except LostTasksError:  # for lack of memory: the two levels' end stays
         return session
-    return replace(session, lens=_lens_of(session, reached, session.lens, stated))
+    return replace(session, lens=_lens_of(session, reached, session.lens))
 
 
 def _optima(session: Estimate) -> list[Reached]:
@@ -159,7 +154,7 @@ def _all_reached(
     legs = []
     shown = {channel: share(run, target) for channel, target in targets.items()}
     for k, place in zip(session.members, places, strict=True):
-        fit, row = session.fits[k], session.rows[k]
+        fit, row = session.fits[k], session.row(k)
         o = fit.observation
         values = lens.solved.predicted[row].copy()
         values[-1] -= lens.measured.values[row, -1] - place.measured.values[-1]
@@ -172,20 +167,14 @@ def _all_reached(
     return [done[k] for k in range(len(legs))]
 
 
-def _lens_of(
-    session: Estimate, reached: Sequence[Reached], like: LensFit, stated: Stated
-) -> LensFit:
+def _lens_of(session: Estimate, reached: Sequence[Reached], like: LensFit) -> LensFit:
     """Estimate the lens from the members' new measurements, under the laws of an earlier lens."""
-    at = {session.rows[k]: one for k, one in zip(session.members, reached, strict=True)}
-    rows = range(len(like.model.readings))
-    observed = [
-        Observed(reading, (Candidate(at[row].measured),) if row in at else ())
-        for row, reading in zip(rows, like.model.readings, strict=True)
-    ]
-    members = np.array([row in at for row in rows])
-    return exact_lens(
-        observed, np.where(members, 0, -1), members, stated, laws=like.model.laws
-    )
+    model, chosen = like.model, dict[int, Measured]()
+    for k, one in zip(session.members, reached, strict=True):
+        chosen[session.row(k)] = one.measured
+    every = [chosen.get(row) for row in range(len(model.readings))]
+    members = np.array([one is not None for one in every])
+    return exact_lens(model.readings, every, members, model.stated, laws=model.laws)
 
 
 def reach(leg: Leg) -> Reached:

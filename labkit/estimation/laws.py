@@ -42,21 +42,19 @@ class Column:
     Attributes
     ----------
     kind : kind of the parameter
+    std, value : standard error and mean of the prior
     name : identity among parameters of one kind
-    value, std : mean and standard error of the prior
-    scale : a significant step of the parameter
     """
 
     kind: str
-    name: Name
-    value: float
     std: float
-    scale: float
+    value: float = 0.0
+    name: Name = ()
 
     @property
     def prior_std(self) -> float:
-        """Standard error of the prior, above 0."""
-        return max(self.std, SETTINGS.exact * self.scale)
+        """Standard error of the prior, above 0 for exact numbers too."""
+        return max(self.std, SETTINGS.exact**2)
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,6 +10,8 @@ from scipy.special import chdtrc
 
 from labkit.estimation.block_solve import Data, LeastSquares, Point, quadratic, solve
 from labkit.estimation.laws import (
+    AXIAL_COLOUR,
+    FOCUS,
     GEOMETRY,
     LATERAL_COLOUR,
     OPEN,
@@ -115,38 +116,31 @@ class LensFit:
         """(columns, columns) covariance of the estimate, Birge ratio and bias included."""
         return self.errors_of(np.eye(len(self.theta)))
 
-    def errors_of(self, combinations: Floats) -> Floats:
-        """Return the covariance (m, m) of m linear combinations (m, columns) of the parameters."""
-        noise = (
-            combinations
-            @ self.solved.normal.covariance
-            @ combinations.T
-            * self.birge_ratio**2
-        )
-        noise = self._mixed(noise, combinations, lambda lens, of: lens.errors_of(of))
-        return (
-            noise
-            if self.bias is None
-            else covariance_with_bias(noise, combinations @ self.bias.theta)
-        )
-
-    def _mixed(
-        self, noise: Floats, of: Floats, covariance: Callable[[LensFit, Floats], Floats]
-    ) -> Floats:
-        """Return the covariance over all models of linear combinations (m, columns).
+    def errors_of(self, combinations: Floats, k: int | None = None) -> Floats:
+        """Return the covariance (m, m) of linear combinations of the parameters, over all models of the plan.
 
         Parameters
         ----------
-        noise : (m, m) covariance under this model
-        of : (m, columns)
-        covariance : returns the covariance (m, m) under another model
+        combinations : (m, columns)
+        k : observation whose values the combinations are: the own columns of its group count too
         """
-        mixed = (1 - sum(probability for probability, _ in self.others)) * noise
-        for probability, lens in self.others:
-            there = _sized(of, len(lens.theta))
-            moved = there @ lens.theta - of @ self.theta
-            mixed = mixed + probability * (covariance(lens, there) + np.outer(moved, moved))
-        return mixed
+        normal, own = self.solved.normal, self.solved.own_slopes[k or 0]
+        own = np.zeros((len(combinations), own.shape[1])) if k is None else own
+        group = self.model.groups[k or 0]
+        followed = combinations - own @ normal.eliminated[group]
+        noise = (
+            followed @ normal.covariance @ followed.T
+            + own @ normal.own_covariance[group] @ own.T
+        )
+        noise *= self.birge_ratio**2 * (1 - sum(chance for chance, _ in self.others))
+        for chance, lens in self.others:
+            there = _sized(combinations, len(lens.theta))
+            moved = there @ lens.theta - combinations @ self.theta
+            noise += chance * (lens.errors_of(there, k) + np.outer(moved, moved))
+        if self.bias is None:
+            return np.asarray(noise)
+        bias = combinations @ self.bias.theta + own @ self.bias.own[group]
+        return covariance_with_bias(noise, bias)
 
     def value(self, kind: str, *name: str | float) -> float:
         """Return the estimate of a column."""
@@ -161,7 +155,7 @@ class LensFit:
     def residual_std(self) -> Floats:
         """(n, values) standard errors of members' values less their fitted values, Birge ratio included."""
         noise = self.measured.covariance + np.diag(self.model.scatter())
-        left = np.diagonal(noise - self._spread(self.solved.slopes), axis1=1, axis2=2)
+        left = np.diagonal(noise - self._spread, axis1=1, axis2=2)
         return np.asarray(self.birge_ratio * np.sqrt(np.maximum(left, 0.0)))
 
     @cached_property
@@ -170,17 +164,16 @@ class LensFit:
         followed = self.solved.normal.eliminated[self.model.groups]
         return np.asarray(self.solved.slopes - self.solved.own_slopes @ followed)
 
-    def _spread(self, slopes: Floats) -> Floats:
-        """Return the covariance (n, values, values) of predictions with derivatives (n, values, columns)."""
-        own = self.solved.own_slopes
-        followed = slopes - own @ self.solved.normal.eliminated[self.model.groups]
-        common = followed @ self.solved.normal.covariance @ followed.transpose(0, 2, 1)
-        alone = (
-            own
-            @ self.solved.normal.own_covariance[self.model.groups]
-            @ own.transpose(0, 2, 1)
+    @cached_property
+    def _spread(self) -> Floats:
+        """(n, values, values) covariance of fitted values."""
+        own, followed = self.solved.own_slopes, self._eliminated_slopes
+        normal = self.solved.normal
+        alone = normal.own_covariance[self.model.groups]
+        return np.asarray(
+            followed @ normal.covariance @ followed.transpose(0, 2, 1)
+            + own @ alone @ own.transpose(0, 2, 1)
         )
-        return np.asarray(common + alone)
 
     @cached_property
     def predictions(self) -> tuple[Floats, Floats]:
@@ -188,7 +181,7 @@ class LensFit:
 
         The covariance includes the scatter of the laws, but not the observation's own noise.
         """
-        spread = self._spread(self.solved.slopes)
+        spread = self._spread
         noise = self.measured.covariance + np.diag(self.model.scatter())
         root = np.linalg.cholesky(noise)
         back = np.linalg.inv(root)
@@ -218,16 +211,13 @@ class LensFit:
         (values,) for the estimated wavelengths and pitch, see `LensModel.true`, and their covariance (values, values)
         """
         model, point = self.model, self.solved.point
-        slopes = model.true_slopes(self.solved.slopes)[k : k + 1]
         value = model.true(point.theta, point.own)[k]
-        whole = self._at(k, slopes)
+        whole = self.errors_of(model.true_slopes(self.solved.slopes[k]), k)
         if not model.laws.paraxial:
             whole = covariance_with_bias(whole, self._by_f_number(value))
         if model.laws.shared:
             return value, whole
-        scatter = np.zeros(model.values)
-        scatter[: len(model.noll)] = model.laws.mode_scatter**2
-        scatter[model.defocus] = 0.0
+        scatter = model.mode_scatter()
         noise = self.measured.covariance[k] + np.diag(model.scatter())
         pull = np.diag(scatter) @ np.linalg.inv(noise)
         left = np.eye(model.values) - pull
@@ -242,23 +232,6 @@ class LensFit:
         change[-2] = 1.0
         return change * self.value(WORKING_F_NUMBER)
 
-    def _at(self, k: int, slopes: Floats) -> Floats:
-        """Return the covariance (values, values) of a prediction of observation k with derivatives (1, values, columns)."""
-        normal, own = self.solved.normal, self.solved.own_slopes[k]
-        group = self.model.groups[k]
-        followed = slopes[0] - own @ normal.eliminated[group]
-        noise = (
-            followed @ normal.covariance @ followed.T
-            + own @ normal.own_covariance[group] @ own.T
-        )
-        noise = noise * self.birge_ratio**2
-        noise = self._mixed(noise, slopes[0], lambda lens, of: lens._at(k, of[None]))
-        if self.bias is None:
-            return np.asarray(noise)
-        return covariance_with_bias(
-            noise, slopes[0] @ self.bias.theta + own @ self.bias.own[group]
-        )
-
     def contributions(self, gradient: Floats) -> dict[str, float]:
         """Return an error budget of a combination (columns,): standard errors by photons, calibration, geometry, model."""
         normal, model, measured = self.solved.normal, self.model, self.measured
@@ -270,20 +243,18 @@ class LensFit:
         surplus = quadratic(pull, measured.model)
         scatter = np.sum(pull**2, axis=0) * model.scatter()
         prior = ((gradient @ normal.covariance) / model.prior_std) ** 2
-        kinds = [column.kind for column in model.columns]
-        share = {
-            kind: float(sum(prior[k] for k, one in enumerate(kinds) if one == kind))
-            for kind in dict.fromkeys(kinds)
-        }
+        kinds = np.array([column.kind for column in model.columns])
+
+        def share(*of: str) -> float:
+            return float(prior[np.isin(kinds, of)].sum())
+
         shares = {
             "photons": quadratic(pull, measured.covariance) - calibration - surplus,
             "calibration": calibration,
-            "geometry": float(scatter[-1])
-            + sum(share.get(kind, 0.0) for kind in (*GEOMETRY, LATERAL_COLOUR)),
+            "geometry": float(scatter[-1]) + share(*GEOMETRY, LATERAL_COLOUR),
             "model": surplus
             + float(scatter[:-1].sum())
-            + share.get(WAVELENGTH, 0.0)
-            + share.get(WORKING_F_NUMBER, 0.0),
+            + share(WAVELENGTH, WORKING_F_NUMBER),
         }
         shares["model"] += float(self.errors_of(gradient[None])[0, 0]) - sum(
             shares.values()
@@ -347,10 +318,10 @@ def first_point(model: LensModel, measured: Measurements) -> Point:
         model.reference,
         float(np.mean(list(found.values()))) if found else float(ranges.mean()),
     )
-    theta[model.index("best focus")] = first
+    theta[model.index(FOCUS)] = first
     for channel in model.channels:
         if channel != model.reference:
-            theta[model.index("axial colour", channel)] = found.get(channel, first) - first
+            theta[model.index(AXIAL_COLOUR, channel)] = found.get(channel, first) - first
     return Point(theta, np.zeros((int(model.groups.max()) + 1, len(model.local_columns))))
 
 

@@ -2,7 +2,7 @@
 
 Every observation measures modes, numbers of camera parts, ln of the working f-number and ln of the picture's scale. All follow
 from a few named parameters of the session, the columns of a least-squares problem; the plan states some of them. A new law
-needs a new column (`_columns`) and its derivatives (`_linear`, or an argument of `_laws`).
+needs a new column (`_columns`) and its derivatives: an entry of `_entries`, or a term of `_laws`.
 """
 
 from __future__ import annotations
@@ -37,35 +37,20 @@ from labkit.estimation.laws import (
     Column,
     Laws,
     Name,
+    Place,
 )
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import Stated
 from labkit.imaging.optics import ESTIMATED
 from labkit.optics.lens import USUAL_LOG_MAGNIFICATION, ThinLens, defocus_waves
 from labkit.optics.wavefront import DEFOCUS
-from labkit.types import Floats, Indices
+from labkit.types import Bools, Floats, Indices
 
-STEP = 1e-4
-"""Relative step of the laws' numerical derivatives: errors by rounding and by curvature are equal, 1e-8."""
+ONLY_MISTAKEN: tuple[Place, ...] = ((PITCH, ()), (WAVELENGTH, ()))
+"""Parameters that are exact unless they are a mistake: pixel pitch, and a common factor of all wavelengths."""
 
-
-@dataclass(frozen=True)
-class Layout:
-    """Derivatives of all observations that do not depend on the parameters.
-
-    Attributes
-    ----------
-    linear : (n, values, columns) of the linear part of the values
-    local : (n, values, local columns) of the linear part, by the columns of the observation's own group
-    arguments, local_arguments : (6, n, columns) of the arguments of the nonlinear laws
-    offset : (6, n) arguments for columns that are all 0
-    """
-
-    linear: Floats
-    local: Floats
-    arguments: Floats
-    local_arguments: Floats
-    offset: Floats
+STEP = 1e-3
+"""Step of numerical derivatives by an argument over its size, or over 1 if it is smaller: slopes err by 1e-9 at most."""
 
 
 @dataclass(frozen=True)
@@ -156,9 +141,9 @@ class LensModel:
             return ()
         far = max(reading.range_mm for reading in self.readings)
         return (
-            Column(FOCUS, (), 0.0, SETTINGS.colour_std * far, 1e-3 * far),
-            Column(LATERAL_COLOUR, (), 0.0, SETTINGS.loose, 1e-4),
-            *(Column(MODE, (j,), 0.0, SETTINGS.unknown, 1e-2) for j in self._upper_modes),
+            Column(FOCUS, SETTINGS.colour_std * far),
+            Column(LATERAL_COLOUR, SETTINGS.loose),
+            *(Column(MODE, SETTINGS.unknown, name=(j,)) for j in self._upper_modes),
         )
 
     @cached_property
@@ -209,79 +194,54 @@ class LensModel:
 
     def scatter(self) -> Floats:
         """Return variances (values,) of an observation about the laws."""
-        variance = np.zeros(self.values)
-        variance[: len(self.noll)] = self.laws.mode_scatter**2
+        variance = self.mode_scatter()
         variance[self.defocus] = self.laws.defocus_scatter**2
         variance[-2] = self.laws.f_number_scatter**2
         variance[-1] = self.laws.size_scatter**2
         return variance
 
-    def lens(self, theta: Floats) -> ThinLens:
-        """Return the lens for parameters (columns,)."""
-        focal_mm, f_number, pupils = (
-            float(theta[self.index(kind)]) for kind in GEOMETRY[:3]
-        )
-        return ThinLens(focal_mm, f_number, float(np.exp(pupils)))
-
-    def true(self, theta: Floats, local: Floats) -> Floats:
-        """Return values (n, values) for theta (columns,) and local (groups, local columns).
-
-        Errors of stated wavelengths and of the stated pixel pitch change what is measured, not these values.
-        """
-        layout = self._layout
-        own = local[self.groups]
-        true = layout.linear @ theta + np.einsum("nvl,nl->nv", layout.local, own)
-        true[:, self._law_rows] += self._laws(self._arguments(theta, own)).T
-        return np.asarray(true)
+    def mode_scatter(self) -> Floats:
+        """Return variances (values,) of an observation's modes, except defocus, about those of the session."""
+        variance = np.zeros(self.values)
+        variance[: len(self.noll)] = self.laws.mode_scatter**2
+        variance[self.defocus] = 0.0
+        return variance
 
     def predicted(self, theta: Floats, local: Floats) -> Floats:
-        """Predict the measurements (n, values), for parameters as in `true`.
+        """Predict the measurements (n, values), for theta (columns,) and local (groups, local columns).
 
         Light of a longer wavelength than stated makes the same picture as stated light through a cone narrower by the same
         ratio, with path differences smaller by the same ratio: N grows with the wavelength's error, the modes shrink. If the
         stated pitch is too large, so are N and the scale, by the same ratio.
         """
-        seen = self.true(theta, local)
-        longer = theta[self._wavelengths] + (theta[-1] if self._light_mistaken else 0.0)
-        seen[:, : len(self.noll)] *= np.exp(-longer)[:, None]
-        seen[:, -2] += longer
-        if self._pitch_mistaken:
-            seen[:, -2:] += theta[-1]
-        return seen
+        values, arguments = np.split(self._sums(theta, local), [self.values], axis=1)
+        values[:, self._law_rows] += self._laws(arguments.T).T
+        values[:, : len(self.noll)] *= np.exp(-(self._longer @ theta))[:, None]
+        return values
+
+    def true(self, theta: Floats, local: Floats) -> Floats:
+        """Return values (n, values) as predicted for light and a pitch as stated: their errors change what is measured only."""
+        return self.predicted(np.where(self._apparent, 0.0, theta), local)
 
     def slopes(self, theta: Floats, local: Floats) -> tuple[Floats, Floats]:
         """Return derivatives of `predicted`: (n, values, columns), and (n, values, local columns)."""
-        layout = self._layout
-        by_argument = self._law_slopes(self._arguments(theta, local[self.groups]))
-        whole = layout.linear.copy()
-        whole[:, self._law_rows] += np.einsum("lan,anc->nlc", by_argument, layout.arguments)
-        own = layout.local.copy()
-        own[:, self._law_rows] += np.einsum(
-            "lan,anc->nlc", by_argument, layout.local_arguments
-        )
-        common = theta[-1] if self._light_mistaken else 0.0
-        shrunk = np.exp(-theta[self._wavelengths, None, None] - common)
-        modes = slice(0, len(self.noll))
-        whole[:, modes] *= shrunk
-        own[:, modes] *= shrunk
-        n = np.arange(len(self.readings))
-        if self._pitch_mistaken:
-            whole[:, -2:, -1] = 1.0
-        by_wavelength = np.zeros((len(n), self.values))
-        by_wavelength[:, modes] = -self.predicted(theta, local)[:, modes]
-        by_wavelength[:, -2] = 1.0
-        whole[n, :, self._wavelengths] = by_wavelength
-        if self._light_mistaken:
-            whole[:, :, -1] = by_wavelength
+        by_argument = self._law_slopes(self._sums(theta, local)[:, self.values :].T)
+        shrunk = np.exp(-(self._longer @ theta))[:, None, None]
+
+        def chained(rows: Floats) -> Floats:
+            slopes, arguments = rows[:, : self.values].copy(), rows[:, self.values :]
+            slopes[:, self._law_rows] += np.einsum("lan,nac->nlc", by_argument, arguments)
+            slopes[:, : len(self.noll)] *= shrunk
+            return slopes
+
+        whole, own = map(chained, self._map[1:])
+        modes = self.predicted(theta, local)[:, : len(self.noll), None]
+        whole[:, : len(self.noll)] -= modes * self._longer[:, None]
         return whole, own
 
     def true_slopes(self, slopes: Floats) -> Floats:
-        """Return slopes (n, values, columns) of `true` from those of `predicted`."""
-        slopes = slopes.copy()
-        slopes[np.arange(len(slopes)), :, self._wavelengths] = 0.0
-        if self._pitch_mistaken or self._light_mistaken:
-            slopes[:, :, -1] = 0.0
-        return slopes
+        """Return slopes (..., columns) of `true` from those of `predicted`."""
+        return np.where(self._apparent, 0.0, slopes)
 
     @property
     def _upper_modes(self) -> list[int]:
@@ -293,21 +253,15 @@ class LensModel:
         return [self.defocus, self.values - 2, self.values - 1]
 
     @cached_property
-    def _wavelengths(self) -> Indices:
-        """(n,) place of each observation's wavelength column."""
-        return np.array(
-            [self.index(WAVELENGTH, r.key.channel) for r in self.readings], dtype=np.intp
-        )
+    def _apparent(self) -> Bools:
+        """(columns,) whether a parameter changes what is measured, but not the lens: errors of wavelengths and pitch."""
+        return np.array([column.kind in (WAVELENGTH, PITCH) for column in self.columns])
 
-    @property
-    def _pitch_mistaken(self) -> bool:
-        """Whether the pitch is a parameter: the last column. A stated pitch that is no mistake is exact."""
-        return self.laws.mistaken == (PITCH, ())
-
-    @property
-    def _light_mistaken(self) -> bool:
-        """Whether a common factor of all wavelengths is a parameter: the last column."""
-        return self.laws.mistaken == (WAVELENGTH, ())
+    @cached_property
+    def _longer(self) -> Floats:
+        """(n, columns) derivatives of ln of the true over the stated wavelength."""
+        light = np.array([column.kind == WAVELENGTH for column in self.columns])
+        return np.asarray(self._map[1][:, self.values - 2] * light)
 
     def _widened(self, column: Column) -> Column:
         """Return the column, with the error of a mistake if the laws call its number mistaken."""
@@ -324,101 +278,93 @@ class LensModel:
         stated = self.stated
         far = max(reading.range_mm for reading in self.readings)
         focal, f_number = stated.focal_length, stated.f_number
-        yield Column(FOCAL_LENGTH, (), focal.value, focal.std, 1e-2 * focal.value)
-        yield Column(F_NUMBER, (), f_number.value, f_number.std, 1e-2 * f_number.value)
-        yield Column(MAGNIFICATION, (), 0.0, USUAL_LOG_MAGNIFICATION, 0.1)
-        yield Column(RANGE_ZERO, (), 0.0, stated.range_zero_std_mm, 1e-3 * far)
-        yield Column(SIZE, (), 0.0, float(np.hypot(stated.size_std, self.tilt_std)), 1e-4)
-        yield Column(WORKING_F_NUMBER, (), 0.0, self.laws.f_number_std, 1e-2)
-        homings = sorted(
-            {homing for reading in self.readings for homing in reading.homings}
-        )
-        for homing in homings[1:]:
-            yield Column(HOMING, (homing,), 0.0, stated.homing_std_mm, 1e-2)
+        yield Column(FOCAL_LENGTH, focal.std, focal.value)
+        yield Column(F_NUMBER, f_number.std, f_number.value)
+        yield Column(MAGNIFICATION, USUAL_LOG_MAGNIFICATION)
+        yield Column(RANGE_ZERO, stated.range_zero_std_mm)
+        yield Column(SIZE, float(np.hypot(stated.size_std, self.tilt_std)))
+        yield Column(WORKING_F_NUMBER, self.laws.f_number_std)
+        homings = {homing for reading in self.readings for homing in reading.homings}
+        for homing in sorted(homings)[1:]:
+            yield Column(HOMING, stated.homing_std_mm, name=(homing,))
         for station in sorted({reading.station for reading in self.readings}):
-            yield Column(STEPS, (station,), 0.0, stated.range_std_mm, 1e-2)
-        yield Column(FOCUS, (), far, 100 * far, 1e-3 * far)
+            yield Column(STEPS, stated.range_std_mm, name=(station,))
+        yield Column(FOCUS, 100 * far, far)
         for channel in self.channels:
             error = stated.wavelength_std.get(channel, 0.0)
-            yield Column(WAVELENGTH, (channel,), 0.0, error, 1e-3)
+            yield Column(WAVELENGTH, error, name=(channel,))
             if channel != self.reference:
-                axial = SETTINGS.colour_std * far
-                yield Column(AXIAL_COLOUR, (channel,), 0.0, axial, 1e-3 * far)
-                yield Column(LATERAL_COLOUR, (channel,), 0.0, SETTINGS.colour_std, 1e-4)
+                yield Column(AXIAL_COLOUR, SETTINGS.colour_std * far, name=(channel,))
+                yield Column(LATERAL_COLOUR, SETTINGS.colour_std, name=(channel,))
         names = (self.of_channel(label, c) for c in self.channels for label in self.parts)
         for name in dict.fromkeys(names):
-            yield Column(PART, name, 0.0, SETTINGS.unknown, 1e-3)
-        yield from () if self.tiled else self._mode_columns()
-        if self._pitch_mistaken:  # last, so that the other columns keep their places
-            yield Column(PITCH, (), 0.0, 0.0, 1e-4)
-        if self._light_mistaken:
-            yield Column(WAVELENGTH, (), 0.0, 0.0, 1e-3)
-
-    def _mode_columns(self) -> Iterator[Column]:
-        for j in self._upper_modes:
-            yield Column(COMMON_MODE, (j,), 0.0, SETTINGS.unknown, 1e-2)
+            yield Column(PART, SETTINGS.unknown, name=name)
+        for j in [] if self.tiled else self._upper_modes:
+            yield Column(COMMON_MODE, SETTINGS.unknown, name=(j,))
             for channel in self.channels:
-                yield Column(MODE, (channel, j), 0.0, SETTINGS.colour_modes_std, 1e-2)
+                yield Column(MODE, SETTINGS.colour_modes_std, name=(channel, j))
+        for kind, name in ONLY_MISTAKEN:  # last: other columns keep their places
+            if (kind, name) == self.laws.mistaken:
+                yield Column(kind, SETTINGS.mistake)
 
     @cached_property
-    def _layout(self) -> Layout:
-        n, own = len(self.readings), len(self.local_columns)
-        size = len(self.columns)
-        layout = Layout(
-            np.zeros((n, self.values, size)),
-            np.zeros((n, self.values, own)),
-            np.zeros((6, n, size)),
-            np.zeros((6, n, own)),
-            np.zeros((6, n)),
-        )
-        layout.offset[3] = [reading.range_mm for reading in self.readings]
-        by_channel = {channel: self._linear(channel) for channel in self.channels}
-        for k, reading in enumerate(self.readings):
-            layout.linear[k] = by_channel[reading.key.channel]
-            layout.arguments[:, k] = self._argument_slopes(reading)
-        if own:
-            layout.local_arguments[4, :, 0] = 1.0
-            layout.local[:, -1, 1] = 1.0
-            for column, j in enumerate(self._upper_modes, 2):
-                layout.local[:, self.noll.index(j), column] = 1.0
-        return layout
+    def _map(self) -> tuple[Floats, Floats, Floats]:
+        """Linear map from parameters to the values without the laws, followed by the six arguments of the laws.
 
-    def _linear(self, channel: str) -> Floats:
-        """Return derivatives (values, columns) of the linear part of a channel's observations."""
-        rows = np.zeros((self.values, len(self.columns)))
-        rows[-2, self.index(WORKING_F_NUMBER)] = 1.0
-        rows[-1, self.index(SIZE)] = 1.0
-        if channel != self.reference:
-            rows[-1, self.index(LATERAL_COLOUR, channel)] = 1.0
+        The arguments are f, N, ln mp, true range, best focus of the channel, best focus of the reference.
+
+        Returns
+        -------
+        (n, values + 6) for parameters that are 0; derivatives (n, values + 6, columns), (n, values + 6, local columns)
+        """
+        n, rows, true_range = len(self.readings), self.values + 6, self.values + 3
+        offset = np.zeros((n, rows))
+        offset[:, true_range] = [reading.range_mm for reading in self.readings]
+        by_channel = {channel: self._channel_map(channel) for channel in self.channels}
+        common = np.array([by_channel[r.key.channel] for r in self.readings])
+        for k, reading in enumerate(self.readings):
+            common[k, true_range, self.index(STEPS, reading.station)] = 1.0
+            for homing, times in Counter(reading.homings).items():
+                if (column := self._places.get((HOMING, (homing,)))) is not None:
+                    common[k, true_range, column] = times / len(reading.homings)
+        own = np.zeros((n, rows, len(self.local_columns)))
+        if self.tiled:
+            upper = [self.noll.index(j) for j in self._upper_modes]
+            places = [self.values + 4, self.values - 1, *upper]
+            own[:, places, range(len(places))] = 1.0
+        return offset, common, own
+
+    def _channel_map(self, channel: str) -> Floats:
+        """Return derivatives (values + 6, columns) that all observations of a channel have in common."""
+        cone, scale, first, true_range = (self.values + k for k in (-2, -1, 0, 3))
+        rows = np.zeros((self.values + 6, len(self.columns)))
+        entries: list[tuple[int | list[int], Place]] = [
+            (cone, (WORKING_F_NUMBER, ())),
+            (scale, (SIZE, ())),
+            (scale, (LATERAL_COLOUR, (channel,))),
+            (cone, (WAVELENGTH, (channel,))),
+            (cone, (WAVELENGTH, ())),
+            ([cone, scale], (PITCH, ())),
+            *((first + k, (kind, ())) for k, kind in enumerate(GEOMETRY[:3])),
+            ([true_range, true_range + 1, true_range + 2], (RANGE_ZERO, ())),
+        ]
         for row, j in enumerate(self.noll):
-            if j != DEFOCUS and not self.tiled:
-                rows[row, self.index(COMMON_MODE, j)] = 1.0
-                rows[row, self.index(MODE, channel, j)] = 1.0
+            entries += [(row, (COMMON_MODE, (j,))), (row, (MODE, (channel, j)))]
         for row, label in enumerate(self.parts, len(self.noll)):
-            rows[row, self.index(PART, *self.of_channel(label, channel))] = 1.0
+            entries.append((row, (PART, self.of_channel(label, channel))))
+        for at, place in entries:  # sessions have only some of these columns
+            if (column := self._places.get(place)) is not None:
+                rows[at, column] = 1.0
+        rows[true_range + 1] += self.best_focus(channel)
+        rows[true_range + 2] += self.best_focus(self.reference)
         return rows
 
-    def _argument_slopes(self, reading: Reading) -> Floats:
-        """Return derivatives (6, columns) of f, N, ln mp, true range, best focus of the channel and of the reference."""
-        slopes = np.zeros((6, len(self.columns)))
-        for row, kind in enumerate(GEOMETRY[:3]):
-            slopes[row, self.index(kind)] = 1.0
-        slopes[3:, self.index(RANGE_ZERO)] = 1.0
-        slopes[3, self.index(STEPS, reading.station)] = 1.0
-        for homing in dict.fromkeys(reading.homings):
-            if (
-                column := self._places.get((HOMING, (homing,)))
-            ) is not None:  # all but the first
-                slopes[3, column] = reading.homings.count(homing) / len(reading.homings)
-        slopes[4] += self.best_focus(reading.key.channel)
-        slopes[5] += self.best_focus(self.reference)
-        return slopes
-
-    def _arguments(self, theta: Floats, own: Floats) -> Floats:
-        """Return the laws' arguments (6, n). own: (n, local columns)."""
-        layout = self._layout
-        local = np.einsum("anl,nl->an", layout.local_arguments, own)
-        return np.asarray(layout.offset + layout.arguments @ theta + local)
+    def _sums(self, theta: Floats, local: Floats) -> Floats:
+        """Return values without the laws, and the laws' arguments, (n, values + 6)."""
+        offset, common, own = self._map
+        return np.asarray(
+            offset + common @ theta + np.einsum("nrl,nl->nr", own, local[self.groups])
+        )
 
     def _laws(self, arguments: Floats) -> Floats:
         """Return defocus in waves RMS, ln of the working f-number and ln of the scale, (3, ...), for arguments (6, ...)."""
@@ -440,9 +386,12 @@ class LensModel:
         )
 
     def _law_slopes(self, arguments: Floats) -> Floats:
-        """Differentiate the laws by their arguments, (3, 6, n), by central differences."""
-        steps = STEP * np.maximum(np.abs(arguments), 0.1)
+        """Differentiate the laws by their arguments, (3, 6, n), by central differences of fourth order."""
+        steps = STEP * np.maximum(np.abs(arguments), 1.0)
         moves = steps[:, None] * np.eye(len(steps))[:, :, None]
-        ahead = self._laws(arguments[:, None] + moves)
-        behind = self._laws(arguments[:, None] - moves)
-        return np.asarray((ahead - behind) / (2 * steps))
+
+        def difference(times: int) -> Floats:
+            ahead = self._laws(arguments[:, None] + times * moves)
+            return ahead - self._laws(arguments[:, None] - times * moves)
+
+        return np.asarray((8 * difference(1) - difference(2)) / (12 * steps))

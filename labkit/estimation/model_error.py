@@ -11,10 +11,10 @@ from dataclasses import replace
 import numpy as np
 
 from labkit.estimation.block_solve import Point
-from labkit.estimation.candidate import Observed
+from labkit.estimation.candidate import Measured
 from labkit.estimation.estimate import Estimate
 from labkit.estimation.local import Optimum
-from labkit.estimation.select import OUT, exact_lens
+from labkit.estimation.select import exact_lens
 from labkit.estimation.settings import SETTINGS
 from labkit.optics.wavefront import DEFOCUS
 from labkit.optics.zernike import twin_signs
@@ -51,18 +51,13 @@ def with_model_error(session: Estimate) -> Estimate:
     lens = session.lens
     if lens is None or not any(session.with_missing):
         return session
-    every = [Observed(reading) for reading in lens.model.readings]
+    chosen: list[Measured | None] = [None] * len(lens.model.readings)
     for k in session.members:
-        row, complete = (
-            session.rows[k],
-            _near(session.fits[k].optimum, session.with_all_parts(k)),
-        )
-        assert row is not None
-        every[row] = replace(every[row], candidates=(complete.candidate,))
-    members = lens.measured.used
-    choice = np.where(members, 0, OUT)
+        complete = _near(session.fits[k].optimum, session.with_all_parts(k))
+        chosen[session.row(k)] = complete.candidate.measured
+    model, members = lens.model, lens.measured.used
     complete_lens = exact_lens(
-        every, choice, members, lens.model.stated, laws=lens.model.laws
+        model.readings, chosen, members, model.stated, laws=model.laws
     )
     values = {
         (c.kind, c.name): v

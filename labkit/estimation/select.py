@@ -13,7 +13,13 @@ import numpy as np
 from scipy.special import chdtrc
 
 from labkit.estimation.block_solve import Point
-from labkit.estimation.candidate import Candidate, Observed, mostly_unexplained
+from labkit.estimation.candidate import (
+    Candidate,
+    Measured,
+    Observed,
+    Reading,
+    mostly_unexplained,
+)
 from labkit.estimation.laws import Laws
 from labkit.estimation.lens_fit import (
     LensFit,
@@ -72,16 +78,14 @@ class Options:
         growth = SETTINGS.poor_errors**2 if poor_model(observed) else 1.0
         for k, one in enumerate(observed):
             best = max((c.log_likelihood for c in one.candidates), default=0.0)
-            for at, candidate in enumerate(one.candidates):
+            for choice in range(2 * len(one.candidates)):
+                candidate, at = one.candidate(choice), (k, choice)
                 measured = candidate.measured.labelled(model.parts)
-                here = [2 * at, 2 * at + 1]
-                options.values[k, here] = measured.values, measured.values * measured.signs
-                options.covariance[k, here] = measured.covariance * (
-                    1.0 if candidate.explained else growth
-                )
-                options.covariance[k, here[1]] *= np.outer(measured.signs, measured.signs)
-                options.gain[k, here] = candidate.log_likelihood - best
-                options.foreshortening[k, here] = measured.foreshortening
+                options.values[at] = measured.values
+                options.covariance[at] = measured.covariance
+                options.covariance[at] *= 1.0 if candidate.explained else growth
+                options.gain[at] = candidate.log_likelihood - best
+                options.foreshortening[at] = measured.foreshortening
         return options
 
 
@@ -107,12 +111,6 @@ class Selection:
     open_signs: Bools
 
     @property
-    def open_channels(self) -> tuple[str, ...]:
-        """Channels with an observation whose sign is open."""
-        keys = [self.observed[k].reading.key for k in np.flatnonzero(self.open_signs)]
-        return tuple(dict.fromkeys(key.channel for key in keys))
-
-    @property
     def outliers(self) -> list[Key]:
         """Keys of fitted observations that do not belong to the session."""
         fitted = self.choice != OUT
@@ -120,10 +118,9 @@ class Selection:
             self.observed[k].reading.key for k in np.flatnonzero(fitted & ~self.members)
         ]
 
-    def candidate(self, k: int) -> tuple[Candidate, int]:
-        """Return the chosen candidate of observation k, and its sign: -1 for the twin."""
-        place, twin = divmod(int(self.choice[k]), 2)
-        return self.observed[k].candidates[place], 1 - 2 * twin
+    def candidate(self, k: int) -> Candidate:
+        """Return the chosen candidate of observation k, or its twin."""
+        return self.observed[k].candidate(int(self.choice[k]))
 
 
 @dataclass(frozen=True)
@@ -133,7 +130,6 @@ class _Choices:
     observed: tuple[Observed, ...]
     options: Options
     model: LensModel
-    groups: Indices
 
     def measured(self, choice: Indices, members: Bools) -> Measurements:
         """Return the chosen measurements; the parts of their covariances are left out, for no choice depends on them."""
@@ -197,7 +193,7 @@ class _Choices:
         """Yield observations to change: the most promising of each group at once, then single ones by promise."""
         order = np.argsort(-promise)
         order = order[promise[order] > 0]
-        _, first = np.unique(self.groups[order], return_index=True)
+        _, first = np.unique(self.model.groups[order], return_index=True)
         best = order[np.sort(first)]
         if len(best) > 1:
             yield best
@@ -257,16 +253,16 @@ def select(
     ValueError : no observation has a candidate, or two observations have the same key
     """
     observed = tuple(observed)
-    first = next((one.candidates[0].measured for one in observed if one.candidates), None)
-    if first is None:
+    known = [candidate.measured for one in observed for candidate in one.candidates]
+    if not known:
         raise ValueError("no observation has a candidate: there is nothing to select from")
-    model = LensModel(
-        tuple(one.reading for one in observed), first.noll, _labels(observed), stated
-    )
+    parts = tuple(dict.fromkeys(label for one in known for label in one.parts))
+    readings = tuple(one.reading for one in observed)
+    model = LensModel(readings, known[0].noll, parts, stated)
     options = Options.of(observed, model)
     if everyone:
         options.cost[:] = np.inf
-    strict = _Choices(observed, options, replace(model, laws=Laws().rough()), model.groups)
+    strict = _Choices(observed, options, replace(model, laws=Laws().rough()))
     start = _started(strict)
     ends = [(strict, *strict.ascend(*start))]
     left_out = options.fitted & ~ends[0][2]
@@ -278,7 +274,11 @@ def select(
     choices, choice, members, _, value = max(
         ends, key=lambda end: end[4] - end[0].occam(end[1], end[2])
     )
-    lens = exact_lens(observed, choice, members, stated, laws=Laws() if everyone else None)
+    chosen = [
+        None if at == OUT else one.candidate(int(at)).measured
+        for one, at in zip(observed, choice, strict=True)
+    ]
+    lens = exact_lens(readings, chosen, members, stated, laws=Laws() if everyone else None)
     is_open = (
         np.zeros(len(observed), bool)
         if everyone
@@ -297,24 +297,48 @@ def _looser(observed: Sequence[Observed]) -> list[Laws]:
 
 
 def exact_lens(
-    observed: Sequence[Observed],
-    choice: Indices,
+    readings: Sequence[Reading],
+    chosen: Sequence[Measured | None],
     members: Bools,
     stated: Stated,
     *,
     laws: Laws | None = None,
 ) -> LensFit:
-    """Estimate the lens from chosen candidates, under given laws or the strictest laws that they do not contradict."""
-    first = next(one.candidates[0].measured for one in observed if one.candidates)
-    readings = tuple(one.reading for one in observed)
-    model = LensModel(readings, first.noll, _labels(observed), stated, laws or Laws())
-    measured, tilt_std, own_tilt = _measurements(observed, choice, members, model)
-    model = replace(model, tilt_std=tilt_std)
-    if own_tilt.size:
-        measured.covariance[:, -1, -1] += own_tilt**2
+    """Estimate the lens under given laws, or under the strictest laws that the measurements do not contradict.
+
+    Parameters
+    ----------
+    readings : rail positions of n observations
+    chosen : measurement of each, None if there is none
+    members : (n,) whether the observation counts
+    stated : the plan's numbers
+    laws : tolerances of the laws; None to choose them
+    """
+    known = [one for one in chosen if one is not None]
+    parts = tuple(dict.fromkeys(label for one in known for label in one.parts))
+    n, size = len(readings), len(known[0].noll) + len(parts) + 2
+    values, tilts = np.zeros((n, size)), np.zeros((n, 2))
+    covariance = np.broadcast_to(np.eye(size), (n, size, size)).copy()
+    calibration, surplus = np.zeros((n, size, size)), np.zeros((n, size, size))
+    for k, one in enumerate(chosen):
+        if one is not None:
+            one = one.labelled(parts)
+            values[k], tilts[k] = one.values, one.foreshortening
+            covariance[k] = one.covariance
+            calibration[k] = one.calibration
+            surplus[k] = one.model
+    common = _common_tilt(tilts[members])
+    tilt, tilt_std = common or (tilts[:, 0], 0.0)
+    values[:, -1] += tilt
+    if common is None:
+        covariance[:, -1, -1] += tilts[:, 1] ** 2
+    measured = Measurements(values, covariance, calibration, surplus, members)
+    model = LensModel(
+        tuple(readings), known[0].noll, parts, stated, laws or Laws(), tilt_std
+    )
     lens = fit_lens(model, measured)
     stations = {
-        one.reading.station for one, member in zip(observed, members, strict=True) if member
+        one.station for one, member in zip(readings, members, strict=True) if member
     }
     if (
         laws is not None
@@ -330,46 +354,6 @@ def exact_lens(
     mistaken = max(with_mistakes(lens), key=lambda fit: fit.log_evidence)
     gain = mistaken.log_evidence - likeliest.log_evidence
     return mistaken if gain > -np.log(SETTINGS.mistake_odds) else likeliest
-
-
-def _measurements(
-    observed: Sequence[Observed], choice: Indices, members: Bools, model: LensModel
-) -> tuple[Measurements, float, Floats]:
-    """Return the chosen measurements and errors of size due to the target's tilt: common to all, and (n,) of each."""
-    size, n = model.values, len(observed)
-    values, tilts = np.zeros((n, size)), np.zeros((n, 2))
-    covariance = np.broadcast_to(np.eye(size), (n, size, size)).copy()
-    calibration, surplus = np.zeros((n, size, size)), np.zeros((n, size, size))
-    for k in np.flatnonzero(choice != OUT).tolist():
-        place, twin = divmod(int(choice[k]), 2)
-        measured = observed[k].candidates[place].measured.labelled(model.parts)
-        measured = measured.twin() if twin else measured
-        values[k], covariance[k], calibration[k] = (
-            measured.values,
-            measured.covariance,
-            measured.calibration,
-        )
-        tilts[k] = measured.foreshortening
-        if measured.model.size:
-            surplus[k] = measured.model
-    common = _common_tilt(tilts[members])
-    values[:, -1] += tilts[:, 0] if common is None else common[0]
-    return (
-        Measurements(values, covariance, calibration, surplus, members),
-        0.0 if common is None else common[1],
-        tilts[:, 1] if common is None else np.empty(0),
-    )
-
-
-def _labels(observed: Sequence[Observed]) -> tuple[str, ...]:
-    """Return the labels of all parts' numbers that any candidate has."""
-    every = (
-        label
-        for one in observed
-        for candidate in one.candidates
-        for label in candidate.measured.parts
-    )
-    return tuple(dict.fromkeys(every))
 
 
 def _common_tilt(tilts: Floats) -> tuple[float, float] | None:
@@ -402,8 +386,8 @@ def _started(choices: _Choices) -> tuple[Indices, Bools]:
 def _groups(choices: _Choices, wanted: Bools) -> list[Indices]:
     """Return the places of each channel and tile's observations, the largest group first."""
     places = np.flatnonzero(wanted)
-    order = places[np.argsort(choices.groups[places], kind="stable")]
-    parts = np.split(order, np.flatnonzero(np.diff(choices.groups[order])) + 1)
+    order = places[np.argsort(choices.model.groups[places], kind="stable")]
+    parts = np.split(order, np.flatnonzero(np.diff(choices.model.groups[order])) + 1)
     return sorted((part for part in parts if part.size), key=lambda part: -part.size)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from labkit.errors import FitError
 from labkit.estimation.camera import CameraChoice, Parts
+from labkit.estimation.candidate import Measured
 from labkit.estimation.estimate import Estimate, LocalFit, is_ranged, observed
 from labkit.estimation.laws import Laws
 from labkit.estimation.lens_fit import LensFit, fit_lens
@@ -237,10 +238,10 @@ class _Loop:
         for row, k in enumerate(self.ranged):
             if k not in self.found or selection.choice[row] == OUT:
                 continue
-            candidate, sign = selection.candidate(row)
-            measured = candidate.measured if sign > 0 else candidate.measured.twin()
+            candidate = selection.candidate(row)
             waves = predicted[row, : len(self._noll)]
-            far = np.linalg.norm(measured.waves - waves) > SETTINGS.other_optimum_waves
+            away = float(np.linalg.norm(candidate.measured.waves - waves))
+            far = away > SETTINGS.other_optimum_waves
             doubtful = not selection.members[row] or (anyone and not candidate.explained)
             doubtful = doubtful or not (selection.lens.model.laws.shared or poor)
             if far and doubtful and self._new(k, waves):
@@ -445,22 +446,17 @@ class _Loop:
         )
         lens = None
         if whole.lens is not None:
-            lens = self._lens_of(fits, whole, whole.lens.model.laws)
+            lens = self._lens_of(fits, whole, whole.lens)
         return replace(whole, fits=fits, lens=lens)
 
-    def _lens_of(self, fits: Sequence[LocalFit], like: Estimate, laws: Laws) -> LensFit:
-        """Return the lens of fits that belong as another estimate's do, under its laws."""
-        every = [observed(self.observations[k], None) for k in self.ranged]
-        choice = np.full(len(every), OUT)
-        members = np.zeros(len(every), bool)
-        for place, fit in enumerate(fits):
-            row = like.rows[place]
-            if row is None:
-                continue
-            every[row] = replace(every[row], candidates=(fit.optimum.candidate,))
-            choice[row] = 0
-            members[row] = place in like.members
-        return exact_lens(every, choice, members, self.stated, laws=laws)
+    def _lens_of(self, fits: Sequence[LocalFit], like: Estimate, lens: LensFit) -> LensFit:
+        """Return the lens of fits that belong as another estimate's do, under the laws of its lens."""
+        chosen: list[Measured | None] = [None] * len(self.ranged)
+        for fit, row in zip(fits, like.rows, strict=True):
+            if row is not None:
+                chosen[row] = fit.optimum.candidate.measured
+        model, members = lens.model, lens.measured.used
+        return exact_lens(model.readings, chosen, members, self.stated, laws=model.laws)
 
     def _as_estimate(self) -> Estimate:
         selection = self.selection()

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from labkit.estimation.candidate import Observed
-from labkit.estimation.estimate import Estimate, LocalFit, reading_of
-from labkit.estimation.select import Selection, select
+from labkit.estimation.estimate import Estimate, reading_of
+from labkit.estimation.lens_fit import LensFit
+from labkit.estimation.select import select
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import Stated
 
@@ -28,60 +29,56 @@ class Change:
     after: Estimate
 
 
-def find_change(session: Estimate, stated: Stated) -> Change | None:
+def find_change(session: Estimate) -> Change | None:
     """Find the moment at which the lens changed.
 
     Returns
     -------
     None if the fits agree without a change, or if no single change makes them agree
     """
-    places = [
-        k
+    lens = session.lens
+    if lens is None or (lens.model.laws.paraxial and not session.outliers):
+        return None
+    observed = {
+        k: _observed(session, k)
         for k, fit in enumerate(session.fits)
         if fit.ranged and not fit.optimum.verdict.undetermined
-    ]
-    if session.lens is None or (session.lens.model.laws.paraxial and not session.outliers):
-        return None
-    order = sorted(places, key=lambda k: session.fits[k].observation.order)
-    observed = {k: _observed(session, k) for k in places}
+    }
+    order = sorted(observed, key=lambda k: session.fits[k].observation.order)
     stations = list(dict.fromkeys(observed[k].reading.station for k in order))
-    k = parting([observed[k] for k in places], stations, stated)
+    k = parting([*observed.values()], stations, lens.model.stated)
     if k is None:
         return None
     before, after = (
-        [place for place in places if observed[place].reading.station in part]
+        _part(session, [i for i in observed if observed[i].reading.station in part], lens)
         for part in (stations[:k], stations[k:])
     )
-    return Change(
-        stations[k - 1],
-        stations[k],
-        _part(session, before, stated),
-        _part(session, after, stated),
-    )
+    return Change(stations[k - 1], stations[k], before, after)
 
 
-def second_camp(session: Estimate, stated: Stated) -> bool:
+def second_camp(session: Estimate) -> bool:
     """Whether the outliers agree with each other: they follow a lens of their own, under all its laws."""
     observed = [_observed(session, k) for k in session.outliers]
-    if len({one.reading.station for one in observed}) < 2:
+    if session.lens is None or len({one.reading.station for one in observed}) < 2:
         return False
-    return _whole(observed, stated).lens.p_value >= SETTINGS.contradiction_chance
+    lens = select(observed, session.lens.model.stated, everyone=True).lens
+    return lens.p_value >= SETTINGS.contradiction_chance
 
 
 def parting(
     observed: Sequence[Observed], stations: Sequence[float], stated: Stated
 ) -> int | None:
     """Return the number of stations, in the order of their photographs, before a change; None if no change is detected."""
+
+    def lens_at(part: Sequence[float]) -> LensFit:
+        here = [one for one in observed if one.reading.station in part]
+        return select(here, stated, everyone=True).lens
+
     if len(stations) < 3:
         return None
-    whole = _whole(observed, stated).lens
+    whole = lens_at(stations)
     parted = [
-        sum(
-            _whole(
-                [one for one in observed if one.reading.station in part], stated
-            ).lens.chi2
-            for part in (stations[:k], stations[k:])
-        )
+        lens_at(stations[:k]).chi2 + lens_at(stations[k:]).chi2
         for k in range(1, len(stations))
     ]
     least = min(parted)
@@ -89,34 +86,28 @@ def parting(
     return 1 + parted.index(least) if changed else None
 
 
-def _whole(observed: Sequence[Observed], stated: Stated) -> Selection:
-    """Select with all observations as members, under the strictest laws."""
-    return select(observed, stated, everyone=True)
-
-
 def _observed(session: Estimate, k: int) -> Observed:
     """Return the chosen optimum of a fit, with missing parts in its model."""
-    return Observed(
-        reading_of(session.fits[k].observation), (session.with_all_parts(k).candidate,)
-    )
+    reading = reading_of(session.fits[k].observation)
+    return Observed(reading, (session.with_all_parts(k).candidate,))
 
 
-def _part(session: Estimate, places: Sequence[int], stated: Stated) -> Estimate:
+def _part(session: Estimate, places: Sequence[int], whole: LensFit) -> Estimate:
     """Estimate a part of a session from some of its fits, with errors as for the whole session."""
     fits = [session.fits[k] for k in places]
     candidates = [
         Observed(reading_of(fit.observation), (fit.optimum.candidate,)) for fit in fits
     ]
-    selection = _whole(candidates, stated)
-    turned = [
-        _turned(fit, int(choice))
+    selection = select(candidates, whole.model.stated, everyone=True)
+    signed = [
+        replace(fit, optimum=fit.optimum.twin()) if choice % 2 else fit
         for fit, choice in zip(fits, selection.choice, strict=True)
     ]
-    every = tuple(range(len(turned)))
+    every = tuple(range(len(signed)))
     stations = {one.reading.station for one in candidates}
     return replace(
         session,
-        fits=tuple(turned),
+        fits=tuple(signed),
         lens=selection.lens,
         rows=every,
         members=every,
@@ -126,7 +117,3 @@ def _part(session: Estimate, places: Sequence[int], stated: Stated) -> Estimate:
         with_missing=tuple(session.with_missing[k] for k in places if session.with_missing),
         stated_camera=None,
     )
-
-
-def _turned(fit: LocalFit, choice: int) -> LocalFit:
-    return fit.with_optimum(fit.optimum.twin()) if choice % 2 else fit

@@ -221,7 +221,7 @@ def test_an_estimate_at_a_bound_is_the_likeliest_within_it() -> None:
         np.array([column.value for column in model.columns]),
         slopes,
         model.bounds(),
-        x_scale=np.array([column.scale for column in model.columns]),
+        x_scale="jac",
         xtol=1e-12,
         ftol=1e-14,
         gtol=1e-12,

@@ -10,25 +10,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labkit.estimation.findings import (
-    Moves,
-    camera_part_found,
-    camera_parts_missing,
-    model_incomplete_everywhere,
-    residuals_not_noise,
-    stated_model_moves,
-    two_camps,
-    undetermined,
-)
 from labkit.findings import (
     NO_ANSWER,
     TEXTS,
     Finding,
+    Moves,
+    camera_part_found,
+    camera_parts_missing,
     each_once,
     flats_of_another_range,
     flats_partly_unlit,
     found,
+    model_incomplete_everywhere,
+    residuals_not_noise,
+    stated_model_moves,
+    two_camps,
     unanswered,
+    undetermined,
 )
 from labkit.imaging.parts import KNOWN
 from labkit.key import Key
@@ -89,8 +87,8 @@ SAMPLES = [
     found("fit-does-not-belong", GREEN),
     two_camps([GREEN, Key(3300.0, "G")], [Key(3100.0, "G"), Key(3150.0, "G")]),
     undetermined(GREEN, ["defocus"]),
-    residuals_not_noise(GREEN, 1e-6, 1.234, [], "session"),
-    residuals_not_noise(GREEN, 1e-6, 1.234, [], None),
+    residuals_not_noise(GREEN, 1e-6, 1.234, {}, "session"),
+    residuals_not_noise(GREEN, 1e-6, 1.234, {}, None),
     model_incomplete_everywhere({"3200_G": 1.2, "3300_G": 1.9}, 3),
     found("chi2-unusual", GREEN, chi2_per_pixel=0.7, low=0.9, high=1.5),
     found("lens-changed", last_mm=3200.0, next_mm=3300.0),
@@ -112,7 +110,9 @@ SAMPLES = [
     found("cones-contradict-one-lens", cone_relative_error=0.02),
     found("modes-differ-between-ranges"),
     found("errors-widened", factor=1.7, chi2_per_freedom=2.9),
-    camera_part_found("smear", {"rows_px": Uncertain(0.4, 0.01, "px")}, 120.0, MOVES),
+    camera_part_found(
+        "smear", "smear", {"rows_px": Uncertain(0.4, 0.01, "px")}, 120.0, MOVES
+    ),
     found(
         "higher-modes-found",
         None,
@@ -121,7 +121,7 @@ SAMPLES = [
         last_noll=36,
         waves_rms={"value": 0.035, "std": 0.0002},
     ),
-    camera_parts_missing(["veil"], MOVES),
+    camera_parts_missing({"veil": "veiling glare"}, MOVES),
     stated_model_moves(MOVES, 0, 4),
     found("panel-aperture-found", None, {"across": "0.8 ± 0.1", "down": "0.9 ± 0.1"}),
 ]
@@ -186,7 +186,7 @@ def test_all_codes_are_in_kebab_case_and_an_unknown_one_is_refused() -> None:
 
 @pytest.mark.parametrize("name", KNOWN)
 def test_every_part_of_the_camera_has_words_for_a_sentence(name: str) -> None:
-    finding = camera_part_found(name, {}, None, None)
+    finding = camera_part_found(name, KNOWN[name].words, {}, None, None)
     assert finding.text.startswith(f"the photographs show {KNOWN[name].words}, which")
 
 
@@ -224,16 +224,18 @@ def test_what_could_not_be_estimated_is_the_answer() -> None:
 
 
 def test_an_accepted_optimum_and_a_doubtful_one_have_codes_of_their_own() -> None:
-    confirmed = residuals_not_noise(GREEN, 1e-6, 1.234, ["smear"], "parts")
+    confirmed = residuals_not_noise(
+        GREEN, 1e-6, 1.234, {"smear": KNOWN["smear"].words}, "parts"
+    )
     assert confirmed.code == "model-incomplete"
     assert confirmed.text == (
         "G at 3200 mm: the residuals are more than noise (p = 1e-06, χ² per pixel 1.23); a fit with more parts of the "
         "camera confirms the optimum: the model lacks something, such as smear, by a shake or a rolling shutter; "
         "standard errors allow for it"
     )
-    by_starts = residuals_not_noise(GREEN, 1e-6, 1.234, [], "starts")
+    by_starts = residuals_not_noise(GREEN, 1e-6, 1.234, {}, "starts")
     assert by_starts.text.endswith("; how much its numbers err is not known")
-    doubtful = residuals_not_noise(GREEN, float("nan"), 1.2, [], None)
+    doubtful = residuals_not_noise(GREEN, float("nan"), 1.2, {}, None)
     assert doubtful.text.endswith("; its errors are not known")
     assert (doubtful.code, doubtful.key) == ("optimum-doubtful", GREEN)
     assert doubtful.numbers == {
@@ -251,7 +253,7 @@ def test_how_far_results_move_is_told_in_numbers_and_in_words() -> None:
         "psf_moves_l1": 0.031,
     }
     words = "best focus by G +0.024 mm, wavefronts by up to 0.013 waves RMS, PSFs by up to 3.1 % (L1)"
-    missing = camera_parts_missing(["smear", "veil"], MOVES)
+    missing = camera_parts_missing({n: KNOWN[n].words for n in ("smear", "veil")}, MOVES)
     assert missing.numbers == {"parts": ["smear", "veil"]} | moved
     assert missing.text.endswith(f"{words}; standard errors include that")
     stated = stated_model_moves(MOVES, 1, 4)
@@ -265,8 +267,12 @@ def test_a_part_is_told_with_its_numbers() -> None:
         "spread_px": Uncertain(0.55, 0.01, "px"),
         "rows_px": Uncertain(0.5, 0.01, "px"),
     }
-    finding = camera_part_found("low_pass_filter", values, None, None)
-    assert finding.text.endswith("which the plan does not state: rows 0.500 ± 0.010 px")
+    finding = camera_part_found(
+        "low_pass_filter", KNOWN["low_pass_filter"].words, values, None, None
+    )
+    assert finding.text.endswith(
+        "which the plan does not state: rows 0.500 ± 0.010 px; a wrong sensor.fill_factor looks alike"
+    )
     assert finding.numbers["values"] == {
         name: value.as_json() for name, value in values.items()
     }

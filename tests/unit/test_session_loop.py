@@ -283,7 +283,7 @@ def test_outliers_that_follow_a_lens_of_their_own_are_a_second_camp(
     session = played(Play(ends), ranges_mm=sorted((*RANGES_MM, *turned)))
     assert {session.fits[k].observation.range_mm for k in session.outliers} == set(turned)
     assert session.lens is not None
-    assert second_camp(session, session.lens.model.stated) is agree
+    assert second_camp(session) is agree
 
 
 def test_a_search_whose_process_is_killed_costs_no_other_one() -> None:

@@ -13,9 +13,8 @@ from labkit.analysis.session_parts import model_parts, part_findings
 from labkit.analysis.session_results import session_findings
 from labkit.estimation.candidate import Measured, Observed
 from labkit.estimation.estimate import Estimate, LocalFit
-from labkit.estimation.findings import Moves
 from labkit.estimation.select import select
-from labkit.findings import Finding, found
+from labkit.findings import Finding, Moves, found
 from labkit.imaging.parts import SpectrumWidth
 from labkit.key import Key
 from labkit.plan import Plan
