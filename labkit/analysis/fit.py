@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from math import inf
@@ -38,7 +38,7 @@ from labkit.estimation.model_error import with_model_error
 from labkit.estimation.observation import Observation
 from labkit.estimation.searches import fit_task
 from labkit.estimation.session import estimate
-from labkit.estimation.split import Change, find_change
+from labkit.estimation.split import find_change
 from labkit.estimation.stated import wanted_parts
 from labkit.execute import Run, Workers, default_workers
 from labkit.findings import (
@@ -129,80 +129,52 @@ def fit(
     >>> results = labkit.fit("night-3", channels="G", noll=(4, 22), name="22-modes")
     """
     session, plan, checksum = _opened(session, plan, noll)
-    folder = _folder(session, plan, ranges_mm, channels, name)
-    with fitted_alone(folder):
-        return _fitted(
-            session,
-            plan,
-            checksum,
-            folder,
-            ranges_mm=ranges_mm,
-            channels=channels,
-            workers=workers,
-            run=run,
-            patience_s=patience_s,
-            joint=joint,
-            split=split,
-            plain=plain,
-            progress=progress,
-        )
-
-
-def _fitted(
-    session: Session,
-    plan: Plan,
-    checksum: str,
-    folder: Path,
-    *,
-    ranges_mm: Ranges,
-    channels: Channels,
-    workers: int | None,
-    run: Run | None,
-    patience_s: float,
-    joint: bool,
-    split: bool,
-    plain: bool,
-    progress: Progress,
-) -> Results:
-    """Fit as `fit` does, and write the results into a folder."""
+    ranges = (ranges_mm,) if isinstance(ranges_mm, (int, float)) else ranges_mm
+    names = (channels,) if isinstance(channels, str) else channels
+    keys = _keys(session, plan, ranges, names)
+    whole = keys == _keys(session, plan, None, None)
+    folder = session.results_folder(
+        name or ("latest" if whole else _partial_name(ranges or (), names or ()))
+    )
+    _refuse_loss(folder, keys)
+    workers = min(workers or default_workers(), max(len(keys), 1))
     target, steps = open_target(plan.target), Steps(progress)
-    most = max(len(_wanted_keys(session, plan, ranges_mm, channels)), 1)
-    with (
-        threadpool_limits(1),
-        _running(run, min(workers or default_workers(), most), steps) as mapped,
-    ):
-        observations, assumed = observe(
-            session,
-            plan,
-            target,
-            range_mm=ranges_mm,
-            channel=channels,
-            progress=steps.before,
-        )
-        assumed += _panel_findings(plan, target, observations)
-        kept = KeptFits(mapped, folder / FOLDER)
-        targets = {o.channel: as_shown(plan, target, o.channel) for o in observations}
-        fits = estimate(observations, plan, targets, kept, steps, patience_s, plain)
-        fits = refined(fits, targets, steps.counted(kept))
-        together = (
-            refit_jointly(fits, targets, kept, steps.before)
-            if joint and fits.lens is not None
-            else None
-        )
-        change = find_change(fits)
+    together = None
+    with fitted_alone(folder):
+        with threadpool_limits(1), _running(run, workers, steps) as mapped:
+            kept = KeptFits(mapped, folder / FOLDER)
+            observations, assumed = observe(
+                session,
+                plan,
+                target,
+                range_mm=ranges,
+                channel=names,
+                progress=steps.before,
+            )
+            assumed += _panel_findings(plan, target, observations)
+            shown = {o.channel: as_shown(plan, target, o.channel) for o in observations}
+            fits = estimate(observations, plan, shown, kept, steps, patience_s, plain)
+            fits = refined(fits, shown, steps.counted(kept))
+            if joint and fits.lens is not None:
+                together = refit_jointly(fits, shown, kept, steps.before)
+            change = find_change(fits)
+        noted = [*assumed, *kept.findings]
+        if change is not None:
+            last_mm, next_mm = change.last_mm, change.next_mm
+            noted.append(found("lens-changed", last_mm=last_mm, next_mm=next_mm))
+        noted = _noted(session, plan, noted)
 
-    def results_of(fits: Estimate, wanted: bool = True) -> Results:
-        return _results(fits, plan, checksum, noted, patience_s, wanted)
+        def results_of(fits: Estimate, wanted: bool = True) -> Results:
+            return _results(fits, plan, checksum, noted, patience_s, wanted)
 
-    noted = _noted(session, plan, [*assumed, *kept.findings, *_changes(change)])
-    every = {"": results_of(fits, ranges_mm is None)}
-    if together is not None:
-        every[""] = replace(
-            results_of(replace(fits, lens=together.lens)), joint=together.differences
-        )
-    if change is not None and split:
-        every |= {"-before": results_of(change.before), "-after": results_of(change.after)}
-    return _written(folder, every, kept, fits.lost)
+        every = {"": results_of(fits, ranges is None)}
+        if together is not None:
+            jointly = results_of(replace(fits, lens=together.lens))
+            every[""] = replace(jointly, joint=together.differences)
+        if change is not None and split:
+            every["-before"] = results_of(change.before)
+            every["-after"] = results_of(change.after)
+        return _written(folder, every, kept, fits.lost)
 
 
 @contextmanager
@@ -210,10 +182,10 @@ def _running(run: Run | None, workers: int, steps: Steps) -> Iterator[Run]:
     """Yield a map for the fits' tasks: a caller's run, or processes of this machine; this process if one is enough."""
     if run is not None:
         yield run
-        return
-    with Workers(workers, steps.heard) as processes:
-        processes.warm_up(fit_task.__module__)
-        yield processes
+    else:
+        with Workers(workers, steps.heard) as processes:
+            processes.warm_up(fit_task.__module__)
+            yield processes
 
 
 def _written(
@@ -336,15 +308,6 @@ def _results(
     )
 
 
-def _changes(change: Change | None) -> list[Finding]:
-    """Report a change of the lens during a session that is fitted as one."""
-    return (
-        []
-        if change is None
-        else [found("lens-changed", last_mm=change.last_mm, next_mm=change.next_mm)]
-    )
-
-
 def _opened(
     session: Session | Path | str,
     plan: Plan | Path | str | None,
@@ -375,44 +338,34 @@ def _checksum(session: Session, plan: Plan) -> str:
     return hashlib.sha256(text).hexdigest()
 
 
-def _folder(
-    session: Session, plan: Plan, ranges_mm: Ranges, channels: Channels, name: str | None
-) -> Path:
-    """Return the folder of the results. Raise DataError if it holds results that this fit would not replace."""
-    keys = _wanted_keys(session, plan, ranges_mm, channels)
-    whole = keys == _wanted_keys(session, plan, None, None)
-    folder = session.results_folder(
-        name or ("latest" if whole else _partial_name(ranges_mm, channels))
-    )
-    if lost := sorted(kept_keys(folder) - keys):
+def _refuse_loss(folder: Path, keys: Collection[Key]) -> None:
+    """Raise DataError if a folder holds results other than those of some keys, which would be lost."""
+    if lost := sorted(kept_keys(folder) - set(keys)):
         names = ", ".join(key.label for key in lost)
         raise DataError(
             f"{folder} holds {names} too, which this fit would not replace: give it another name (--name)"
         )
-    return folder
 
 
-def _wanted_keys(
-    session: Session, plan: Plan, ranges_mm: Ranges, channels: Channels
+def _keys(
+    session: Session,
+    plan: Plan,
+    ranges_mm: Sequence[float] | None,
+    channels: Sequence[str] | None,
 ) -> set[Key]:
-    """Return the keys of all wavefronts at these ranges and channels."""
-    ranges = {frame.range_mm for frame in session.frames if frame.kind == "target"}
-    wanted = [ranges_mm] if isinstance(ranges_mm, (int, float)) else ranges_mm
-    names = [channels] if isinstance(channels, str) else channels
+    """Return the keys of all wavefronts at these ranges and channels, None for all."""
     return {
         Key(range_mm, channel.name)
-        for range_mm in ranges
-        if wanted is None or any(same_range(range_mm, one) for one in wanted)
+        for range_mm in {f.range_mm for f in session.frames if f.kind == "target"}
+        if ranges_mm is None or any(same_range(range_mm, one) for one in ranges_mm)
         for channel in plan.channel
-        if names is None or channel.name in names
+        if channels is None or channel.name in channels
     }
 
 
-def _partial_name(ranges_mm: Ranges, channels: Channels) -> str:
+def _partial_name(ranges_mm: Sequence[float], channels: Sequence[str]) -> str:
     """Return a name for results of some ranges and channels, such as 3300mm-R."""
-    ranges = [ranges_mm] if isinstance(ranges_mm, (int, float)) else ranges_mm or ()
-    names = [channels] if isinstance(channels, str) else channels or ()
-    return "-".join([*(f"{range_mm:.10g}mm" for range_mm in ranges), *names])
+    return "-".join([*(f"{range_mm:.10g}mm" for range_mm in ranges_mm), *channels])
 
 
 def _doubts(wavefronts: Sequence[Wavefront]) -> Iterator[Finding]:
@@ -431,16 +384,16 @@ def _doubts(wavefronts: Sequence[Wavefront]) -> Iterator[Finding]:
         yield model_incomplete_everywhere(chi2, len(wavefronts))
     for w in wavefronts:
         assert w.test is not None
-        told = together and w.key in poor
+        shared = together and w.key in poor
         if w.test.undetermined:
             yield undetermined(w.key, w.test.undetermined)
-        elif not (w.test.explains or told):
+        elif not (w.test.explains or shared):
             confirmed_by = w.test.name if w.test.accepted else None
             yield residuals_not_noise(
                 w.key, w.test.p_value, w.chi2_per_pixel, in_words(w.missing), confirmed_by
             )
         low, high = USUAL_CHI2
-        if not (low <= w.chi2_per_pixel <= high or told):
+        if not (low <= w.chi2_per_pixel <= high or shared):
             yield found(
                 "chi2-unusual", w.key, chi2_per_pixel=w.chi2_per_pixel, low=low, high=high
             )

@@ -207,9 +207,7 @@ def _waves_difference(wavefront: FittedWavefront, other: FittedWavefront) -> flo
 def _of_lens(lens: LensFit) -> dict[tuple[str, ...], Uncertain]:
     """Return numbers of all parts with standard errors, by label, and by channel for parts of single channels."""
     return {
-        tuple(map(str, column.name)): Uncertain(
-            lens.value(PART, *column.name), lens.std(PART, *column.name)
-        )
+        tuple(map(str, column.name)): lens.uncertain(PART, *column.name)
         for column in lens.model.columns
         if column.kind == PART
     }

@@ -48,69 +48,57 @@ def as_wavefronts(session: Estimate) -> tuple[Wavefront, ...]:
     """Convert every fit to a result. Members get the values estimated from the whole session."""
     wavefronts = []
     for k in range(len(session.fits)):
-        wavefront = _with_what_is_missing(session, k)
+        wavefront = _with_bias(session, k)
         if k in session.members:
-            wavefront = _as_session_has_it(wavefront, session, k)
-        wavefront = _judged(wavefront, k, session)
-        explained = wavefront.test is None or wavefront.test.explains
+            wavefront = _of_session(wavefront, session, k)
+        test = _judged(_test_of(session.fits[k]), session, k)
+        missing = () if test.explains else session.missing
+        sign_open = k not in session.signed
         wavefronts.append(
-            replace(
-                wavefront,
-                missing=() if explained else session.missing,
-                sign_open=k not in session.signed,
-            )
+            replace(wavefront, test=test, missing=missing, sign_open=sign_open)
         )
     return tuple(wavefronts)
 
 
-def _with_what_is_missing(session: Estimate, k: int) -> Wavefront:
+def _with_bias(session: Estimate, k: int) -> Wavefront:
     """Convert fit k, with errors that include the bias due to missing parts."""
     local, complete = session.fits[k], session.with_all_parts(k)
     w = as_wavefront(local, session.with_stated_camera(k))
     if local.optimum is complete:
         return w
     modes, cone = shift(local.optimum, complete)
-    std = float(error_with_bias(np.array(w.f_number_std), np.array(w.f_number * cone)))
-    return replace(
-        w, covariance=covariance_with_bias(w.covariance, modes), f_number_std=std
-    )
+    std = error_with_bias(np.array(w.f_number_std), np.array(w.f_number * cone))
+    covariance = covariance_with_bias(w.covariance, modes)
+    return replace(w, covariance=covariance, f_number_std=float(std))
 
 
-def _judged(w: Wavefront, k: int, session: Estimate) -> Wavefront:
+def _judged(test: OptimumTest, session: Estimate, k: int) -> OptimumTest:
     """Classify a fit: the session decides whether the optimum is right, the residuals whether the model is complete.
 
-    At one range nothing but the many starts that returned to it confirms an optimum. If the model lacks a part, the same fit
-    with the part may confirm it.
+    At one range only the many starts that returned to an optimum confirm the optimum. If the model lacks a part, the same fit
+    with the part may confirm the optimum.
     """
-    if w.test is None:
-        return w
-    if not w.test.accepted and confirmed(session, k):
-        return replace(w, test=replace(w.test, name="parts", accepted=True))
+    if not test.accepted and confirmed(session, k):
+        return replace(test, name="parts", accepted=True)
     if k in session.outliers:
-        return replace(w, test=replace(w.test, name="session", accepted=False))
-    if len({session.fits[i].observation.range_mm for i in session.members}) < 2:
-        if w.test.undetermined or not session.fits[k].found.settled:
-            return w
-        return replace(
-            w,
-            test=replace(
-                w.test, name=w.test.name if w.test.accepted else "starts", accepted=True
-            ),
-        )
-    if k in session.members and not w.test.accepted:
-        return replace(w, test=replace(w.test, name="session", accepted=True))
-    return w
+        return replace(test, name="session", accepted=False)
+    if test.accepted:
+        return test
+    if len({session.fits[i].observation.range_mm for i in session.members}) > 1:
+        by_session = k in session.members
+        return replace(test, name="session", accepted=True) if by_session else test
+    by_starts = session.fits[k].found.settled and not test.undetermined
+    return replace(test, name="starts", accepted=True) if by_starts else test
 
 
-def _as_session_has_it(w: Wavefront, session: Estimate, k: int) -> Wavefront:
+def _of_session(w: Wavefront, session: Estimate, k: int) -> Wavefront:
     """Replace the values of member k by the session's.
 
     Modes that differ between ranges of an incomplete model err by as much: the lens has one set of modes.
     """
-    lens, row = session.lens, session.rows[k]
+    lens = session.lens
     assert lens is not None
-    assert row is not None
-    values, covariance = lens.posterior(row)
+    values, covariance = lens.posterior(session.row(k))
     modes = len(w.noll)
     if mostly_unexplained(fit.optimum.verdict.accepted for fit in session.fits):
         covariance = covariance + np.diag(lens.model.mode_scatter())
@@ -147,21 +135,22 @@ def _light_nm(w: Wavefront, lens: LensFit) -> float:
 
 def as_focus(lens: LensFit) -> Focus | None:
     """Return best focus of all channels with two stations or more; None without such a channel."""
-    model = lens.model
-    stations = _stations(lens)
+    model, stations = lens.model, _stations(lens)
     channels = [channel for channel in model.channels if len(stations.get(channel, ())) > 1]
     if not channels:
         return None
     pupils = _magnification(lens)
-    combinations = np.array([model.best_focus(channel) for channel in channels])
-    magnification = np.zeros(len(model.columns))
-    magnification[model.index(MAGNIFICATION)] = pupils.value
-    covariance = lens.errors_of(np.vstack([combinations, magnification]))
+    combinations = np.array(
+        [
+            *(model.best_focus(channel) for channel in channels),
+            model.column(MAGNIFICATION) * pupils.value,
+        ]
+    )
+    covariance = lens.errors_of(combinations)
+    values, stds = (combinations @ lens.theta).tolist(), np.sqrt(np.diag(covariance))
     best = {
-        channel: Uncertain(
-            float(combination @ lens.theta), float(np.sqrt(covariance[k, k])), "mm"
-        )
-        for k, (channel, combination) in enumerate(zip(channels, combinations, strict=True))
+        channel: Uncertain(value, std, "mm")
+        for channel, value, std in zip(channels, values, stds.tolist(), strict=False)
     }
     least, most = SETTINGS.magnification_bounds
     inside = 1.001 * least < pupils.value < most / 1.001
@@ -189,29 +178,27 @@ def _defocus_of(lens: LensFit, channel: str, values: Floats) -> tuple[float, ...
 def as_lens(lens: LensFit) -> Lens:
     """Return focal length, f-number at infinity, pupil magnification, and true less stated range."""
     return Lens(
-        Uncertain(lens.value(FOCAL_LENGTH), lens.std(FOCAL_LENGTH), "mm"),
-        Uncertain(lens.value(F_NUMBER), lens.std(F_NUMBER)),
+        lens.uncertain(FOCAL_LENGTH, unit="mm"),
+        lens.uncertain(F_NUMBER),
         _magnification(lens),
-        Uncertain(lens.value(RANGE_ZERO), lens.std(RANGE_ZERO), "mm"),
+        lens.uncertain(RANGE_ZERO, unit="mm"),
     )
 
 
 def budget(lens: LensFit) -> dict[str, dict[str, float]]:
     """Return the error budget of every headline number: standard errors by photons, calibration, geometry, model."""
-    model = lens.model
-    unit = np.eye(len(model.columns))
-    seen = _stations(lens)
+    model, stations = lens.model, _stations(lens)
     wanted = {
         f"best_focus_mm.{name}": model.best_focus(name)
         for name in model.channels
-        if len(seen.get(name, ())) > 1
+        if len(stations.get(name, ())) > 1
     }
-    wanted["focal_length_mm"] = unit[model.index(FOCAL_LENGTH)]
-    wanted["f_number"] = unit[model.index(F_NUMBER)]
-    wanted["pupil_magnification"] = (
-        unit[model.index(MAGNIFICATION)] * _magnification(lens).value
-    )
-    wanted["range_zero_mm"] = unit[model.index(RANGE_ZERO)]
+    wanted |= {
+        "focal_length_mm": model.column(FOCAL_LENGTH),
+        "f_number": model.column(F_NUMBER),
+        "pupil_magnification": model.column(MAGNIFICATION) * _magnification(lens).value,
+        "range_zero_mm": model.column(RANGE_ZERO),
+    }
     return {name: lens.contributions(combination) for name, combination in wanted.items()}
 
 
@@ -339,8 +326,8 @@ def as_wavefront(local: LocalFit, with_stated_camera: LocalFit | None = None) ->
         waves=optimum.waves,
         covariance=optimum.covariance,
         poses=np.array([pose.v for pose in optimum.state.poses]),
-        gain=float(optimum.state.gain),
-        read_noise=float(optimum.state.read_noise),
+        gain=optimum.state.gain,
+        read_noise=optimum.state.read_noise,
         chi2_per_pixel=float(optimum.chi2_per_pixel),
         test=_test_of(local),
         residual_spectrum=ResidualSpectrum(
@@ -367,12 +354,12 @@ def _test_of(local: LocalFit) -> OptimumTest:
     verdict = local.optimum.verdict
     return OptimumTest(
         verdict.name,
-        bool(verdict.accepted),
-        float(verdict.p_value),
+        verdict.accepted,
+        verdict.p_value,
         local.found.starts,
-        tuple(verdict.undetermined),
+        verdict.undetermined,
         tuple(OtherOptimum(waves, below) for waves, below in local.found.others),
-        bool(verdict.accepted),
+        verdict.accepted,
     )
 
 

@@ -22,6 +22,7 @@ from labkit.estimation.lens_model import LensModel
 from labkit.estimation.settings import SETTINGS
 from labkit.optics.known_bias import covariance_with_bias
 from labkit.types import Bools, Floats
+from labkit.uncertain import Uncertain
 
 LEAST_SHARE = float(np.sqrt(np.finfo(float).eps))
 """Least share of a variance for the other observations: a smaller share is rounding."""
@@ -148,8 +149,11 @@ class LensFit:
 
     def std(self, kind: str, *name: str | float) -> float:
         """Return the standard error of a column."""
-        k = self.model.index(kind, *name)
-        return float(np.sqrt(self.errors[k, k]))
+        return float(np.sqrt(np.diag(self.errors))[self.model.index(kind, *name)])
+
+    def uncertain(self, kind: str, *name: str | float, unit: str = "") -> Uncertain:
+        """Return the estimate of a column with its standard error."""
+        return Uncertain(self.value(kind, *name), self.std(kind, *name), unit)
 
     @cached_property
     def residual_std(self) -> Floats:

@@ -169,13 +169,15 @@ class LensModel:
         """Return the place of a column; raise KeyError for a column that the session does not have."""
         return self._places[kind, name]
 
+    def column(self, kind: str, *name: str | float) -> Floats:
+        """Return a parameter as a linear combination (columns,)."""
+        return np.asarray(np.eye(len(self.columns))[self.index(kind, *name)])
+
     def best_focus(self, channel: str) -> Floats:
         """Return best focus of a channel as a linear combination (columns,)."""
-        combination = np.zeros(len(self.columns))
-        combination[self.index(FOCUS)] = 1.0
-        if channel != self.reference:
-            combination[self.index(AXIAL_COLOUR, channel)] = 1.0
-        return combination
+        if channel == self.reference:
+            return self.column(FOCUS)
+        return self.column(FOCUS) + self.column(AXIAL_COLOUR, channel)
 
     def of_channel(self, label: str, channel: str) -> Name:
         """Return the column name of a part's number: common to all channels, or of one channel."""
