@@ -38,7 +38,7 @@ from labkit.estimation.model_error import with_model_error
 from labkit.estimation.observation import Observation
 from labkit.estimation.searches import fit_task
 from labkit.estimation.session import estimate
-from labkit.estimation.split import find_change
+from labkit.estimation.split import Change, find_change
 from labkit.estimation.stated import wanted_parts
 from labkit.execute import Run, Workers, default_workers
 from labkit.findings import (
@@ -158,11 +158,7 @@ def fit(
             if joint and fits.lens is not None:
                 together = refit_jointly(fits, shown, kept, steps.before)
             change = find_change(fits)
-        noted = [*assumed, *kept.findings]
-        if change is not None:
-            last_mm, next_mm = change.last_mm, change.next_mm
-            noted.append(found("lens-changed", last_mm=last_mm, next_mm=next_mm))
-        noted = _noted(session, plan, noted)
+        noted = _noted(session, plan, [*assumed, *kept.findings], change)
 
         def results_of(fits: Estimate, wanted: bool = True) -> Results:
             return _results(fits, plan, checksum, noted, patience_s, wanted)
@@ -254,8 +250,11 @@ def _panel_findings(
     return []
 
 
-def _noted(session: Session, plan: Plan, others: Sequence[Finding]) -> list[Finding]:
-    """Report contradictions between files and plan, altered pictures and damage to the session, together with `others`."""
+def _noted(
+    session: Session, plan: Plan, others: Sequence[Finding], change: Change | None
+) -> list[Finding]:
+    """Report contradictions between files and plan, altered pictures, damage to the session and a change of its lens."""
+    changes = [] if change is None else [change]
     stated = contradictions(
         ((frame.file, frame.kind, frame.path) for frame in session.frames), plan
     )
@@ -264,7 +263,10 @@ def _noted(session: Session, plan: Plan, others: Sequence[Finding]) -> list[Find
     repairs = [
         found("session-mended", note=note) for note in session.warnings
     ]  # an import repeats the others here
-    return each_once([*stated, *altered, *others, *repairs, *unused(session)])
+    changed = [
+        found("lens-changed", last_mm=one.last_mm, next_mm=one.next_mm) for one in changes
+    ]
+    return each_once([*stated, *altered, *others, *changed, *repairs, *unused(session)])
 
 
 def _results(
