@@ -69,8 +69,8 @@ def evaluation() -> None:
     poses = (Pose.from_corners(corners + 0.01 * k, carpet().size_mm) for k in count())
     held = next(poses)
     optics = Optics(
-        wavelength_um=0.55,
-        reference_um=0.45,
+        wavelength_nm=550.0,
+        reference_nm=450.0,
         f_number=2.8,
         pitch_um=4.78,
         active_um=4.78,

@@ -29,8 +29,8 @@ def job(side: int, colours: str, samples: int) -> Job:
     counts = 3000 * np.exp(scene / scene.std() / 2)
     counts = counts + rng.normal(size=counts.shape) * np.sqrt(0.45 * counts)
     optics = Optics(
-        wavelength_um=0.65,
-        reference_um=0.45,
+        wavelength_nm=650.0,
+        reference_nm=450.0,
         f_number=2.87,
         pitch_um=4.78,
         active_um=4.78,
@@ -40,7 +40,7 @@ def job(side: int, colours: str, samples: int) -> Job:
         Colour(
             name,
             PLACES[name],
-            replace(optics, wavelength_um=WAVELENGTHS_UM[name]),
+            replace(optics, wavelength_nm=1e3 * WAVELENGTHS_UM[name]),
             np.array([1.0, 0.03]),
             0.45,
             1.3,

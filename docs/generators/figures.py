@@ -28,7 +28,7 @@ def wavefront() -> FittedWavefront:
     noll = (4, 5, 6, 7, 8, 11)
     waves = np.array([0.14, 0.08, -0.1, 0.09, 0.08, 0.1])
     waves *= 0.25 / np.linalg.norm(waves)
-    return FittedWavefront(noll, waves, np.zeros((6, 6)), 0.55, 0.45, 2.87)
+    return FittedWavefront(noll, waves, np.zeros((6, 6)), 550.0, 450.0, 2.87)
 
 
 def chain() -> Figure:

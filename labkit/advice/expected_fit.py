@@ -164,8 +164,8 @@ class Setup:
     def _optics(self, channel: Channel, noll: tuple[int, ...]) -> Optics:
         plan = self.plan
         return Optics(
-            wavelength_um=channel.wavelength_nm * 1e-3,
-            reference_um=plan.reference_wavelength_nm * 1e-3,
+            wavelength_nm=channel.wavelength_nm,
+            reference_nm=plan.reference_wavelength_nm,
             f_number=float(self.lens.working_f_number(self.focus_mm)),
             pitch_um=plan.sensor.pixel_pitch_um,
             active_um=plan.sensor.active_um,

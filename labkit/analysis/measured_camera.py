@@ -96,7 +96,7 @@ def optics_behind(results: Results, plan: Plan, wavefront: Wavefront) -> Optics:
         f_number=wavefront.f_number
         if math.isfinite(wavefront.f_number)
         else optics.f_number,
-        reference_um=wavefront.reference_wavelength_nm * 1e-3,
+        reference_nm=wavefront.reference_wavelength_nm,
         noll=wavefront.noll,
         spectrum=wavefront.spectrum if optics.spectrum is None else optics.spectrum,
         parts=(),

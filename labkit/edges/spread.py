@@ -104,8 +104,8 @@ def wavefront_of(optics: Optics, waves: Floats, node: float = 1.0) -> FittedWave
         optics.noll,
         waves,
         none,
-        node * optics.wavelength_um,
-        optics.reference_um,
+        node * optics.wavelength_nm,
+        optics.reference_nm,
         optics.f_number,
         rim=optics.rim,
     )

@@ -69,8 +69,8 @@ def optics_of(plan: Plan, channel: str) -> Optics:
         found for part in KNOWN.values() if (found := part.stated(plan, light)) is not None
     ]
     return Optics(
-        wavelength_um=light.wavelength_nm * 1e-3,
-        reference_um=plan.reference_wavelength_nm * 1e-3,
+        wavelength_nm=light.wavelength_nm,
+        reference_nm=plan.reference_wavelength_nm,
         f_number=plan.lens.f_number,
         pitch_um=plan.sensor.pixel_pitch_um,
         active_um=plan.sensor.active_um,

@@ -148,8 +148,8 @@ def carpet() -> Target:
 def optics(noll: tuple[int, ...]) -> Optics:
     """Return the camera as the estimator knows it."""
     return Optics(
-        wavelength_um=WAVELENGTH_UM,
-        reference_um=WAVELENGTH_UM,
+        wavelength_nm=1e3 * WAVELENGTH_UM,
+        reference_nm=1e3 * WAVELENGTH_UM,
         f_number=F_NUMBER,
         pitch_um=PITCH_UM,
         active_um=PITCH_UM,

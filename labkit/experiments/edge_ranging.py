@@ -105,10 +105,9 @@ def law() -> FocusLaw:
 
 def optics() -> Optics:
     """Return the camera as the estimator knows it."""
-    um = WAVELENGTH_NM * 1e-3
     return Optics(
-        wavelength_um=um,
-        reference_um=um,
+        wavelength_nm=WAVELENGTH_NM,
+        reference_nm=WAVELENGTH_NM,
         f_number=CAMERA.f_number,
         pitch_um=PITCH_UM,
         active_um=PITCH_UM,

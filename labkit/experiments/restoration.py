@@ -166,8 +166,8 @@ def job_of(
 def _lens(name: str, defocus_only: bool) -> Colour:
     light = LIGHTS[name]
     optics = Optics(
-        wavelength_um=light.wavelength_um,
-        reference_um=REFERENCE_UM,
+        wavelength_nm=1e3 * light.wavelength_um,
+        reference_nm=1e3 * REFERENCE_UM,
         f_number=F_NUMBER,
         pitch_um=PITCH_UM,
         active_um=PITCH_UM,

@@ -32,8 +32,8 @@ class Optics:
 
     Parameters
     ----------
-    wavelength_um : of the light
-    reference_um : wavelength of the unit of wavefronts
+    wavelength_nm : of the light
+    reference_nm : wavelength of the unit of wavefronts
     f_number : working f-number, by clear area
     pitch_um : of the pixels, whatever their colours
     active_um : width of a pixel's active square
@@ -49,11 +49,11 @@ class Optics:
     ValueError
         For a length or an f-number that is not above 0.
 
-    >>> labkit.Optics(wavelength_um=0.55, reference_um=0.55, f_number=2.8, pitch_um=4.78, active_um=4.78)
+    >>> labkit.Optics(wavelength_nm=550.0, reference_nm=550.0, f_number=2.8, pitch_um=4.78, active_um=4.78)
     """
 
-    wavelength_um: float
-    reference_um: float
+    wavelength_nm: float
+    reference_nm: float
     f_number: float
     pitch_um: float
     active_um: float
@@ -64,9 +64,19 @@ class Optics:
     panel: Aperture | None = None
 
     def __post_init__(self) -> None:
-        for name in ("wavelength_um", "reference_um", "pitch_um", "active_um"):
-            positive(name, getattr(self, name), "um")
+        for name in ("wavelength_nm", "reference_nm", "pitch_um", "active_um"):
+            positive(name, getattr(self, name), name[-2:])
         positive("f_number", self.f_number, "unitless")
+
+    @property
+    def wavelength_um(self) -> float:
+        """Wavelength, um."""
+        return 1e-3 * self.wavelength_nm
+
+    @property
+    def reference_um(self) -> float:
+        """Reference wavelength, um."""
+        return 1e-3 * self.reference_nm
 
     @property
     def airy_um(self) -> float:
@@ -197,7 +207,7 @@ class Optics:
         of the same channel.
         """
         own = {part.name: part for part in self.parts if part.per_channel}
-        alike = self.wavelength_um == other.wavelength_um
+        alike = self.wavelength_nm == other.wavelength_nm
         taken = [
             own.pop(part.name, part)
             for part in other.parts

@@ -36,7 +36,7 @@ class FittedWavefront:
     f_number_std : its standard error, which enters lengths as if independent of the modes'
     rim : of the pupil; the f-number is that of the circle of its clear area, over which the
         modes are Noll's
-    spectrum : of the light, about wavelength_um; all wavelengths have the same path
+    spectrum : of the light, about its wavelength; all wavelengths have the same path
         difference, in length
     widest_nm : for an unknown spectrum, the largest standard deviation of the light that
         the photographs allow; 0 if known
@@ -50,8 +50,8 @@ class FittedWavefront:
     noll: tuple[int, ...]
     waves: Floats
     covariance: Floats
-    wavelength_um: float
-    reference_um: float
+    wavelength_nm: float
+    reference_nm: float
     f_number: float
     f_number_std: float = 0.0
     spectrum: Spectrum = field(default_factory=Spectrum)
@@ -64,8 +64,8 @@ class FittedWavefront:
             raise ValueError(
                 f"noll = {self.noll}: Noll's modes are counted from 1, and each is given once"
             )
-        for name in ("wavelength_um", "reference_um"):
-            positive(name, getattr(self, name), "um")
+        for name in ("wavelength_nm", "reference_nm"):
+            positive(name, getattr(self, name), "nm")
         positive("f_number", self.f_number, "unitless")
         object.__setattr__(
             self,
@@ -82,6 +82,16 @@ class FittedWavefront:
                 f"covariance, shape {covariance.shape}: it is not symmetric (waves RMS squared)"
             )
         object.__setattr__(self, "covariance", covariance)
+
+    @property
+    def wavelength_um(self) -> float:
+        """Wavelength, um."""
+        return 1e-3 * self.wavelength_nm
+
+    @property
+    def reference_um(self) -> float:
+        """Reference wavelength, um."""
+        return 1e-3 * self.reference_nm
 
     @property
     def std(self) -> Floats:
@@ -105,7 +115,7 @@ class FittedWavefront:
         return [
             (
                 share,
-                replace(self, wavelength_um=node * self.wavelength_um, spectrum=Spectrum()),
+                replace(self, wavelength_nm=node * self.wavelength_nm, spectrum=Spectrum()),
             )
             for share, node in self.spectrum.shares
         ]
@@ -115,7 +125,7 @@ class FittedWavefront:
 
         The deviation is limited to `labkit.optics.spectrum.WIDEST` of the wavelength.
         """
-        spectrum = Spectrum.of_width((std_nm / (1e3 * self.wavelength_um)) ** 2)
+        spectrum = Spectrum.of_width((std_nm / self.wavelength_nm) ** 2)
         return replace(self, spectrum=spectrum, widest_nm=0.0)
 
     @property

@@ -44,8 +44,8 @@ def stripe_contrast(
             (4,),
             np.array([defocus_waves]),
             np.zeros((1, 1)),
-            channel.wavelength_nm * 1e-3,
-            plan.reference_wavelength_nm * 1e-3,
+            channel.wavelength_nm,
+            plan.reference_wavelength_nm,
             float(lens.working_f_number(range_mm)),
         )
         within = per_mm < wavefront.cutoff_per_mm

@@ -240,17 +240,13 @@ class Wavefront:
     @property
     def fitted(self) -> FittedWavefront:
         """The same as `labkit.optics.metrics` takes it."""
-        wavelength_um, reference_um = (
-            self.wavelength_nm * 1e-3,
-            self.reference_wavelength_nm * 1e-3,
-        )
         cone = (self.f_number, self.f_number_std if isfinite(self.f_number_std) else 0.0)
         return FittedWavefront(
             self.noll,
             self.waves,
             self.covariance,
-            wavelength_um,
-            reference_um,
+            self.wavelength_nm,
+            self.reference_wavelength_nm,
             *cone,
             self.spectrum,
             self.widest_light_nm,

@@ -19,8 +19,8 @@ CARPET = CellTarget(
 )
 CORNERS = np.array([[11.3, 12.1], [10.2, 41.7], [40.8, 42.9], [42.1, 11.4]])
 OPTICS = Optics(
-    wavelength_um=0.55,
-    reference_um=0.45,
+    wavelength_nm=550.0,
+    reference_nm=450.0,
     f_number=8.0,
     pitch_um=4.8,
     active_um=4.5,

@@ -34,7 +34,13 @@ def fitted(
     waves = np.asarray(waves, float)
     covariance = 1e-6 * np.eye(len(waves)) if covariance is None else covariance
     return FittedWavefront(
-        noll[: len(waves)], waves, covariance, UM, REFERENCE_UM, N, spectrum=LIGHT
+        noll[: len(waves)],
+        waves,
+        covariance,
+        1e3 * UM,
+        1e3 * REFERENCE_UM,
+        N,
+        spectrum=LIGHT,
     )
 
 
@@ -90,7 +96,12 @@ def test_a_few_wavelengths_stand_for_a_spectrum_40_nm_broad(
     lines = Spectrum(tuple(nm / 540), tuple(weights / weights.sum()))
     few = Spectrum.of_samples(nm.tolist(), weights.tolist(), 540.0)
     aberrated = FittedWavefront(
-        NOLL, np.array([waves, *MIXED[1:]]), np.zeros((8, 8)), 0.54, REFERENCE_UM, 3.6
+        NOLL,
+        np.array([waves, *MIXED[1:]]),
+        np.zeros((8, 8)),
+        540.0,
+        1e3 * REFERENCE_UM,
+        3.6,
     )
     true, ours = (
         psf_value(replace(aberrated, spectrum=light), 0.5, 161) for light in (lines, few)

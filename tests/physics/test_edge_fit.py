@@ -17,8 +17,8 @@ from labkit.types import Floats
 
 NOLL = tuple(range(4, 12))
 OPTICS = Optics(
-    wavelength_um=0.5,
-    reference_um=0.5,
+    wavelength_nm=500.0,
+    reference_nm=500.0,
     f_number=4.0,
     pitch_um=4.78,
     active_um=4.78,

@@ -45,7 +45,7 @@ def fitted(
 ) -> FittedWavefront:
     waves = np.asarray(waves, float)
     covariance = 1e-6 * np.eye(len(waves)) if covariance is None else covariance
-    return FittedWavefront(noll[: len(waves)], waves, covariance, 0.6, 0.45, 2.8)
+    return FittedWavefront(noll[: len(waves)], waves, covariance, 600.0, 450.0, 2.8)
 
 
 PERFECT = fitted(np.zeros(12))
@@ -92,7 +92,9 @@ def test_the_pupil_of_a_strong_wavefront_is_integrated_to_the_end(
 ) -> None:
     waves = np.random.default_rng(6).normal(0, 0.04, 19)
     waves[0] = 1.0
-    strong = FittedWavefront(tuple(range(4, 23)), waves, 1e-6 * np.eye(19), 0.6, 0.45, 2.8)
+    strong = FittedWavefront(
+        tuple(range(4, 23)), waves, 1e-6 * np.eye(19), 600.0, 450.0, 2.8
+    )
     frequency = np.linspace(0, CUTOFF, 12)
     curve = mtf(strong, frequency, 37.0)
     monkeypatch.setattr("labkit.optics.mtf.nodes_for", lambda wavefront: 150)
@@ -209,7 +211,7 @@ def test_small_aberrations_have_marechals_strehl_ratio() -> None:
 
 def test_the_strehl_ratio_is_the_highest_of_a_fine_psf_whatever_the_tilt() -> None:
     value = strehl(fitted(MIXED)).value
-    fine = Pupil(0.6, 0.45, 2.8, AIRY_UM / 40, 9600, NOLL)
+    fine = Pupil(600.0, 450.0, 2.8, AIRY_UM / 40, 9600, NOLL)
     at = AIRY_UM / 40 * np.arange(-60.0, 61.0)
     peak = fine.psf_at(MIXED, at)[0].max() / fine.psf_at(np.zeros(12), np.zeros(1))[0].max()
     # samples miss the peak by up to lambda N / 57: by (pi / 57)^2 / 4 = 8e-4 of it; the pupil's rim is counted to as much

@@ -251,8 +251,8 @@ def test_slopes_of_a_psf_are_its_differences(parts: tuple[Part, ...]) -> None:
 def test_a_twin_has_the_rim_turned_by_half_a_turn() -> None:
     parts = (Blades(5, 0.3, -0.4), Obstruction(0.1), UnevenRim(0.05, -0.03, 0.02, 0.04))
     optics = Optics(
-        wavelength_um=0.55,
-        reference_um=0.45,
+        wavelength_nm=550.0,
+        reference_nm=450.0,
         f_number=4.0,
         pitch_um=4.0,
         active_um=4.0,

@@ -18,14 +18,14 @@ from labkit.optics.wavefront import FittedWavefront
 NOLL = tuple(range(4, 16))
 WAVES = 0.03 * np.random.default_rng(1).normal(size=12)
 WAVES[0] = 0.2
-OVER_A_DISC = FittedWavefront(NOLL, WAVES, 1e-6 * np.eye(12), 0.6, 0.45, 2.8)
+OVER_A_DISC = FittedWavefront(NOLL, WAVES, 1e-6 * np.eye(12), 600.0, 450.0, 2.8)
 RIMS = {
     "hexagon": Rim((Diaphragm(6, 0.1, 0.2),)),
     "ring": Rim(obstructed=0.176),
     "cat's eye": Rim((Circle(), Circle(0.3, 0.95, 0.7))),
     "all": Rim((Diaphragm(5, 0.3),), (0.03, 0.02, 0.01, 0.0), 0.1),
 }
-PERFECT = FittedWavefront((), np.zeros(0), np.zeros((0, 0)), 0.6, 0.45, 2.8)
+PERFECT = FittedWavefront((), np.zeros(0), np.zeros((0, 0)), 600.0, 450.0, 2.8)
 
 
 def over(name: str) -> FittedWavefront:
@@ -85,7 +85,7 @@ def test_rms_and_extremes_are_over_the_clear_part(name: str) -> None:
 
 
 def test_defocus_has_the_same_rms_over_a_ring_of_equal_area() -> None:
-    defocus = FittedWavefront((4,), np.array([0.3]), np.zeros((1, 1)), 0.6, 0.45, 2.8)
+    defocus = FittedWavefront((4,), np.array([0.3]), np.zeros((1, 1)), 600.0, 450.0, 2.8)
     ring = replace(defocus, rim=Rim(obstructed=0.3))
     assert rms(ring).value == pytest.approx(0.3, rel=1e-9)
 

@@ -26,7 +26,7 @@ GRID = np.linspace(-0.3, 0.3, 31)
 
 def fitted(waves: Floats = WAVES) -> FittedWavefront:
     return FittedWavefront(
-        NOLL, np.asarray(waves, float), STD**2 * np.eye(12), 0.6, 0.45, 2.8
+        NOLL, np.asarray(waves, float), STD**2 * np.eye(12), 600.0, 450.0, 2.8
     )
 
 

@@ -256,8 +256,8 @@ def portrait(name: str, cfa_pattern: str | None) -> Plan:
 def brute_force_std(plan: Plan, name: str, cell: str) -> float:
     """Bound of defocus by finite differences of the picture, pixel by pixel over those whose filter is of that colour."""
     optics = Optics(
-        wavelength_um=0.6,
-        reference_um=0.6,
+        wavelength_nm=600.0,
+        reference_nm=600.0,
         f_number=2.8 * (1 + 70 / 2930),  # of the cone, the lens focused at 3 m
         pitch_um=4.78,
         active_um=4.78,

@@ -52,8 +52,8 @@ from labkit.target import CellTarget
 from labkit.targets.slanted_edge import SlantedEdge
 
 OPTICS = Optics(
-    wavelength_um=0.55,
-    reference_um=0.45,
+    wavelength_nm=550.0,
+    reference_nm=450.0,
     f_number=8.0,
     pitch_um=4.8,
     active_um=4.8,
@@ -183,8 +183,8 @@ def test_a_wrong_array_is_named_with_its_shape_and_unit(case: str, flaw: str) ->
         ),
         (
             lambda: Optics(
-                wavelength_um=0.55,
-                reference_um=0.45,
+                wavelength_nm=550.0,
+                reference_nm=450.0,
                 f_number=-8.0,
                 pitch_um=4.8,
                 active_um=4.8,
@@ -194,14 +194,14 @@ def test_a_wrong_array_is_named_with_its_shape_and_unit(case: str, flaw: str) ->
         ),
         (
             lambda: Optics(
-                wavelength_um=np.nan,
-                reference_um=0.45,
+                wavelength_nm=np.nan,
+                reference_nm=450.0,
                 f_number=8.0,
                 pitch_um=4.8,
                 active_um=4.8,
                 noll=(4,),
             ),
-            r"wavelength_um = nan: .* \(um\)",
+            r"wavelength_nm = nan: .* \(nm\)",
         ),
         (lambda: Pupil(0.55, 0.45, np.inf, 2.2, 32, (4,)), "f_number = inf"),
         (lambda: disc_area(np.zeros(1), 0.0), r"radius = 0: .* \(samples\)"),

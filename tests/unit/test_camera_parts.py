@@ -155,7 +155,7 @@ def test_optics_share_parts_but_each_channel_has_its_own_light() -> None:
     other = replace(
         OPTICS, parts=(LowPass(0.1, 0.1), WIDTH, Smear(0.1)), panel=Aperture(0.1)
     )
-    blue, own = replace(OPTICS, wavelength_um=0.45), SpectrumWidth(1e-4)
+    blue, own = replace(OPTICS, wavelength_nm=450.0), SpectrumWidth(1e-4)
     assert OPTICS.sharing(other) == other  # one channel
     assert blue.sharing(other).parts == other.shared == (LowPass(0.1, 0.1), Smear(0.1))
     assert replace(blue, parts=(own,)).sharing(other).parts == (
@@ -163,7 +163,7 @@ def test_optics_share_parts_but_each_channel_has_its_own_light() -> None:
         own,
         Smear(0.1),
     )
-    assert replace(other, wavelength_um=0.45, parts=(own,)).sharing(OPTICS).parts == (own,)
+    assert replace(other, wavelength_nm=450.0, parts=(own,)).sharing(OPTICS).parts == (own,)
     assert blue.sharing(other).panel == Aperture(0.1)
 
 

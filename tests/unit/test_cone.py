@@ -21,8 +21,8 @@ from labkit.target import CellTarget
 from labkit.types import Floats
 
 OPTICS = Optics(
-    wavelength_um=0.55,
-    reference_um=0.45,
+    wavelength_nm=550.0,
+    reference_nm=450.0,
     f_number=4.0,
     pitch_um=4.8,
     active_um=4.8,

@@ -94,8 +94,8 @@ def fitted(waves: Floats, covariance: Floats | None = None) -> FittedWavefront:
         NOLL[:modes],
         waves,
         np.eye(modes) if covariance is None else covariance,
-        0.55,
-        0.45,
+        550.0,
+        450.0,
         2.8,
     )
 

@@ -269,7 +269,7 @@ def test_light_that_the_plan_does_not_state_is_named_with_what_it_may_do(
         """Of three wavelengths whose mean and standard deviation are those, and the mean one."""
         aside = 2**0.5 * 20.0 / wavefront.wavelength_nm
         lights = [
-            replace(fitted, wavelength_um=fitted.wavelength_um * node)
+            replace(fitted, wavelength_nm=fitted.wavelength_nm * node)
             for node in (1 - aside, 1.0, 1 + aside)
         ]
         short, mean, long = (

@@ -43,8 +43,8 @@ WHOLE = Whole(Derived("b", (0.1, -1e-300)), {"x": np.arange(4.0)[::2]}, (2**60, 
 
 def test_every_part_of_a_camera_is_read_back_as_it_was() -> None:
     optics = Optics(
-        wavelength_um=0.55,
-        reference_um=0.45,
+        wavelength_nm=550.0,
+        reference_nm=450.0,
         f_number=2.8,
         pitch_um=4.78,
         active_um=4.78,

@@ -16,7 +16,7 @@ from labkit.optics.wavefront import FittedWavefront
 from tests.results_samples import a_wavefront, some_results
 
 KNOWN = FittedWavefront(
-    (4, 6, 8), np.array([0.25, 0.06, 0.05]), 1e-10 * np.eye(3), 0.55, 0.45, 3.5
+    (4, 6, 8), np.array([0.25, 0.06, 0.05]), 1e-10 * np.eye(3), 550.0, 450.0, 3.5
 )
 OPEN = replace(KNOWN, widest_nm=30.0)
 BROAD = KNOWN.in_light(30.0)
