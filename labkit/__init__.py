@@ -15,19 +15,32 @@ from typing import TYPE_CHECKING, Any
 from labkit.version import __version__
 
 if TYPE_CHECKING:
+    from labkit.acquisition.camera_check import camera_settings, check_camera
     from labkit.acquisition.capture import capture
+    from labkit.acquisition.focusing import watch_focus
     from labkit.advice.advise import advise
     from labkit.analysis.fit import fit
     from labkit.analysis.image import fit_image
+    from labkit.calibration.tone_wedge import measure_tone
+    from labkit.demo import run_demo
+    from labkit.devices.inventory import list_connected
+    from labkit.devices.rail_calibration import calibrate_rail
     from labkit.devices.registry import open_devices
+    from labkit.devices.serve_target import serve_target
+    from labkit.edges.measurement import measure_edges
     from labkit.errors import LabkitError
+    from labkit.experiments.runner import run_study
     from labkit.imaging.optics import Optics
     from labkit.plan import Plan
     from labkit.report.html import write_report
+    from labkit.restoration.scenes import restore
     from labkit.results import Results, Wavefront
+    from labkit.session.draft_plan import draft_plan
     from labkit.session.import_frames import import_frames
     from labkit.session.session import Session
+    from labkit.session.verify import verify
     from labkit.target import open_target
+    from labkit.target_file import render_target
     from labkit.uncertain import Uncertain
 
 _PLACES = {
@@ -39,12 +52,26 @@ _PLACES = {
     "Uncertain": "uncertain",
     "Wavefront": "results",
     "advise": "advice.advise",
+    "calibrate_rail": "devices.rail_calibration",
+    "camera_settings": "acquisition.camera_check",
     "capture": "acquisition.capture",
+    "check_camera": "acquisition.camera_check",
+    "draft_plan": "session.draft_plan",
     "fit": "analysis.fit",
     "fit_image": "analysis.image",
     "import_frames": "session.import_frames",
+    "list_connected": "devices.inventory",
+    "measure_edges": "edges.measurement",
+    "measure_tone": "calibration.tone_wedge",
     "open_devices": "devices.registry",
     "open_target": "target",
+    "render_target": "target_file",
+    "restore": "restoration.scenes",
+    "run_demo": "demo",
+    "run_study": "experiments.runner",
+    "serve_target": "devices.serve_target",
+    "verify": "session.verify",
+    "watch_focus": "acquisition.focusing",
     "write_report": "report.html",
 }
 
@@ -58,12 +85,26 @@ __all__ = [
     "Wavefront",
     "__version__",
     "advise",
+    "calibrate_rail",
+    "camera_settings",
     "capture",
+    "check_camera",
+    "draft_plan",
     "fit",
     "fit_image",
     "import_frames",
+    "list_connected",
+    "measure_edges",
+    "measure_tone",
     "open_devices",
     "open_target",
+    "render_target",
+    "restore",
+    "run_demo",
+    "run_study",
+    "serve_target",
+    "verify",
+    "watch_focus",
     "write_report",
 ]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, dataclass
 from math import dist, hypot
 from pathlib import Path
@@ -21,6 +21,7 @@ from labkit.report.html import write_report
 from labkit.results import Results
 from labkit.session.making import refuse_existing
 from labkit.session.session import Session
+from labkit.types import no_progress
 from labkit.uncertain import decimals
 
 PLAN = """\
@@ -166,12 +167,31 @@ class Comparison:
         }
 
 
-def run_demo(folder: Path, seed: int, progress: Progress) -> Comparison:
-    """Capture, fit and report a session on the simulated bench of a seed.
+def unwatched(stage: str) -> AbstractContextManager[Report]:
+    """Return the progress of a demo that nobody watches."""
+    return nullcontext(no_progress)
 
-    progress: returns, for the name of a stage, a context whose value is called with (done,
-    total, step). Raises SessionError if `folder` exists.
+
+def run_demo(
+    folder: Path | str, seed: int = 1, progress: Progress = unwatched
+) -> Comparison:
+    """Capture, fit and report a session of a simulated lens, and compare with the truth.
+
+    Parameters
+    ----------
+    folder : the session's folder, to be made
+    seed : number of the lens, sensor, rail and noise to simulate
+    progress : returns, for the name of a stage, a context whose value is called with (done,
+        total, step)
+
+    Raises
+    ------
+    SessionError
+        the folder exists
+
+    >>> labkit.run_demo("labkit-demo").rows()
     """
+    folder = Path(folder)
     refuse_existing(folder)
     text = PLAN.format(address=f"simulated:seed={seed}")
     context = DeviceContext()

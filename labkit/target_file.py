@@ -13,7 +13,7 @@ from PIL import Image
 
 from labkit.errors import TargetError
 from labkit.files import write_atomically
-from labkit.target import CellTarget, Target
+from labkit.target import CellTarget, Target, open_target
 
 MM_PER_INCH = 25.4
 PRINT_DPI = 600.0
@@ -30,15 +30,37 @@ class Rendering:
     notes: tuple[str, ...]
 
 
-def render_file(
-    target: Target, path: Path, *, dpi: float | None = None, pixels: int | None = None
+def render_target(
+    target: Target | str,
+    path: Path | str,
+    *,
+    dpi: float | None = None,
+    pixels: int | None = None,
 ) -> Rendering:
     """Write a target as PNG or PDF at its true size; the file is written whole or not at all.
 
-    dpi: raster in dots per inch; pixels: dots along the height instead; with neither, three
-    dots a cell (one in a PDF), or 600 dpi for a target without cells. Grey levels are
-    linear radiance. Raises TargetError for another suffix or an impossible raster.
+    Grey levels are linear radiance.
+
+    Parameters
+    ----------
+    target : a target, or what `labkit.open_target` takes
+    path : the file, with the suffix .png or .pdf
+    dpi : raster in dots per inch
+    pixels : dots along the height, instead of `dpi`; with neither, three dots a cell (one in
+        a PDF), or 600 dpi for a target without cells
+
+    Raises
+    ------
+    TargetError
+        another suffix, or an impossible raster
+    InputError
+        the file cannot be written
+
+    >>> labkit.render_target("sierpinski:order=5,size_mm=46.8", "carpet.pdf").pixels
+    (243, 243)
     """
+    target = open_target(target) if isinstance(target, str) else target
+    path = Path(path)
     if path.suffix.lower() not in (".png", ".pdf"):
         raise TargetError(
             f"cannot write a target as {path.name!r}: the name must end in .png or .pdf"

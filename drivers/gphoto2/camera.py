@@ -130,7 +130,7 @@ def find_cameras() -> list[tuple[str, str]]:
     try:
         return [
             (f"gphoto2:{port}", _printable(model))
-            for model, port in link.ask("found_edges", ASK_S)
+            for model, port in link.ask("find", ASK_S)
         ]
     except Trouble as trouble:
         if "libusb" in str(trouble) or (trouble.code == DIED and not _has_libusb()):
@@ -293,7 +293,7 @@ class Gphoto2Camera(ClosesItself):
             model, port = ON_NETWORK, self._port
         else:
             model, port = self._choose(
-                [(model, port) for model, port in self._link.ask("found_edges", ASK_S)]
+                [(model, port) for model, port in self._link.ask("find", ASK_S)]
             )
         self._seen_at = "" if self._on_network else port
         version = self._link.ask("open", OPEN_S, model=model, port=port)

@@ -61,7 +61,7 @@ class Worker:
         self.requests: dict[str, Callable[..., Any]] = {
             name: getattr(self, name)
             for name in (
-                "found_edges",
+                "find",
                 "open",
                 "settings",
                 "read",

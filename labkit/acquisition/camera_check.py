@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterator
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from labkit.acquisition.sequence import shown_target
 from labkit.devices.context import DeviceContext
 from labkit.devices.protocols import (
     Adjustable,
     Camera,
+    CameraInfo,
     Check,
     Checkable,
     ExposureSettings,
@@ -100,6 +103,53 @@ def open_lone_camera(where: str, context: DeviceContext | None = None) -> LoneCa
     return LoneCamera(
         open_camera(plan.camera.address, plan, context or DeviceContext()), plan, planned
     )
+
+
+def camera_settings(where: str = "gphoto2:") -> tuple[CameraInfo, tuple[Setting, ...]]:
+    """List what a camera lets be set or read.
+
+    Parameters
+    ----------
+    where : path of a plan, or a camera's address
+
+    Raises
+    ------
+    CameraError
+        the camera has no settings, or does not answer
+    PlanError
+        the plan cannot be read
+
+    >>> info, settings = labkit.camera_settings("gphoto2:")
+    """
+    with open_lone_camera(where).camera as camera:
+        return camera.identify(), offered(camera)
+
+
+def check_camera(
+    where: str = "gphoto2:", context: DeviceContext | None = None
+) -> FrameReport:
+    """Take one photograph and judge it; nothing is kept.
+
+    With a plan its display shows the target first, and the light is judged in its channels.
+
+    Parameters
+    ----------
+    where : path of a plan, or a camera's address
+    context : what drivers are given, for links and warnings
+
+    Raises
+    ------
+    DeviceError, RawError, PlanError
+        of the camera, its photograph, the plan
+
+    >>> labkit.check_camera("plan.toml").edge_px
+    """
+    context = context or DeviceContext()
+    alone = open_lone_camera(where, context)
+    plan = alone.plan
+    by_hand = plan.display is not None and plan.display.by_hand
+    with alone.camera, nullcontext() if by_hand else shown_target(plan, context):
+        return take_test_frame(alone)
 
 
 def offered(camera: Camera) -> tuple[Setting, ...]:

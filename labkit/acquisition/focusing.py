@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from labkit.acquisition.camera_check import LoneCamera, light_problem
+from labkit.acquisition.camera_check import LoneCamera, light_problem, open_lone_camera
+from labkit.acquisition.sequence import shown_target
+from labkit.devices.context import DeviceContext
 from labkit.devices.observer import Observer, Viewer
-from labkit.devices.protocols import ExposureSettings, Previewing
-from labkit.errors import TargetError
+from labkit.devices.protocols import ExposureSettings, Previewing, Rail
+from labkit.devices.registry import observers_of, open_monitor, open_rail
+from labkit.errors import PlanError, TargetError
 from labkit.finder.find_target import find_target, grey_image, margin_px
 from labkit.finder.preview import Look
 from labkit.finder.sharpness import blur_px, sharpest_edge_px
 from labkit.photographs.decoding import read_photograph
 from labkit.photographs.photograph import Photograph
-from labkit.plan import Sensor
+from labkit.plan import Plan, Sensor
 from labkit.target import open_target
 from labkit.types import Floats
 
@@ -47,6 +51,68 @@ class FocusReading:
     blur_px: float | None
     margin_px: float | None
     note: str
+
+
+def watch_focus(
+    where: str = "gphoto2:",
+    *,
+    range_mm: float | None = None,
+    page: str | None = None,
+    context: DeviceContext | None = None,
+) -> Generator[FocusReading, None, None]:
+    """Photograph again and again, to focus by hand; nothing is kept.
+
+    With a plan its display shows the target.
+
+    Parameters
+    ----------
+    where : path of a plan, or a camera's address
+    range_mm : range that the plan's rail moves to first; None to leave it
+    page : address of an operator's page, such as "web:"; None for none
+    context : what drivers are given, for links, warnings and the operator
+
+    Yields
+    ------
+    a reading for each photograph, until the iterator is closed
+
+    Raises
+    ------
+    DeviceError, RawError, PlanError
+        of devices, photographs, and of a range without a rail or beyond its travel
+
+    >>> for reading in labkit.watch_focus("plan.toml"):
+    ...     print(reading.edge_px)
+    """
+    context = context or DeviceContext()
+    with ExitStack() as stack:
+        alone = open_lone_camera(where, context)
+        stack.enter_context(alone.camera)
+        if page is not None:
+            monitor = stack.enter_context(open_monitor(page, alone.plan, context))
+            context = replace(context, observers=(monitor,))
+        opened = list[object]()
+        if range_mm is not None:
+            opened.append(stack.enter_context(_rail_at(alone.plan, range_mm, context)))
+        if alone.plan.display is not None:
+            opened.append(stack.enter_context(shown_target(alone.plan, context)))
+        yield from focus(alone, observers_of(context, opened))
+
+
+@contextmanager
+def _rail_at(plan: Plan, range_mm: float, context: DeviceContext) -> Iterator[Rail]:
+    """Open the plan's rail, home it and move it to a range. Raises PlanError."""
+    if plan.rail is None:
+        raise PlanError(f"--range {range_mm:g}: to move a rail it takes a plan with [rail]")
+    with open_rail(plan.rail.address, plan, context) as rail:
+        ends = (rail.travel_mm.low_mm, rail.travel_mm.high_mm)
+        nearest_mm, furthest_mm = sorted(map(plan.rail.range_mm, ends))
+        if not nearest_mm <= range_mm <= furthest_mm:
+            raise PlanError(
+                f"--range {range_mm:g}: the rail reaches {nearest_mm:g} to {furthest_mm:g} mm"
+            )
+        rail.home()
+        rail.move_to(plan.rail.position_mm(range_mm))
+        yield rail
 
 
 def focus(

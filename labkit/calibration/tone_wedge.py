@@ -95,14 +95,28 @@ class Tone:
             )
 
 
-def measure_tone(photograph: Path) -> Tone:
-    """Return the tone curve of a photograph of the wedge: JPEG, PNG, TIFF or PGM, grey or in colours.
+def measure_tone(photograph: Path | str) -> Tone:
+    """Measure a camera's tone curve from a photograph of the wedge.
 
     The errors follow from the agreement between each step's two places, after removing low
-    orders of uneven light. Raises RawError for a raw file or a file that is no picture,
-    TargetError without a wedge, DataError for steps that are too small, clipped, not
-    blurred into even greys, or not rising.
+    orders of uneven light.
+
+    Parameters
+    ----------
+    photograph : JPEG, PNG, TIFF or PGM, grey or in colours
+
+    Raises
+    ------
+    RawError
+        the file is a raw file, or no picture
+    TargetError
+        the photograph does not show the wedge
+    DataError
+        steps are too small, clipped, not blurred into even greys, or not rising
+
+    >>> print(labkit.measure_tone("wedge.jpg").to_toml())
     """
+    photograph = Path(photograph)
     try:
         container = recognise(photograph)
     except RawError as error:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, nullcontext, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -25,7 +25,7 @@ from labkit.cli.complete import panels, targets
 from labkit.cli.console import Console
 from labkit.cli.device_tables import NONE_OF, device_tables
 from labkit.cli.paths import a_file, a_plan, perhaps_a_plan
-from labkit.errors import DataError, LabkitError, PlanError
+from labkit.errors import LabkitError
 
 if TYPE_CHECKING:
     from labkit.devices.context import Devices
@@ -84,12 +84,10 @@ def devices(
 def camera_settings(ctx: typer.Context, where: CameraPlace = "gphoto2:") -> None:
     """List what a camera lets be set or read."""
     perhaps_a_plan(where)
-    from labkit.acquisition.camera_check import offered, open_lone_camera
+    from labkit.acquisition.camera_check import camera_settings as settings_of
 
     console: Console = ctx.obj
-    alone = open_lone_camera(where)
-    with alone.camera as camera:
-        info, settings = camera.identify(), offered(camera)
+    info, settings = settings_of(where)
     console.say(f"{info.model}, serial {info.serial}, {info.driver}")
     rows = [["setting", "now", "allowed"]]
     for setting in settings:
@@ -109,17 +107,11 @@ def camera_test(ctx: typer.Context, where: CameraPlace = "gphoto2:") -> None:
     With a plan its display shows the target first, and the light is judged in its channels.
     """
     perhaps_a_plan(where)
-    from labkit.acquisition.camera_check import open_lone_camera, take_test_frame
-    from labkit.acquisition.sequence import shown_target
+    from labkit.acquisition.camera_check import check_camera
     from labkit.devices.context import DeviceContext
 
     console: Console = ctx.obj
-    context = DeviceContext(show_link=console.link, warn=console.warn)
-    alone = open_lone_camera(where, context)
-    plan = alone.plan
-    by_hand = plan.display is not None and plan.display.by_hand
-    with alone.camera, nullcontext() if by_hand else shown_target(plan, context):
-        found = take_test_frame(alone)
+    found = check_camera(where, DeviceContext(show_link=console.link, warn=console.warn))
     console.warn(*found.problems)
     console.say(
         f"{found.pixels[0]} × {found.pixels[1]} pixels, {found.exposure_s:g} s, ISO {found.iso or 'unknown'}"
@@ -210,10 +202,10 @@ def target_render(
     """Write a target to print, in its true size."""
     perhaps_a_plan(spec)
     from labkit.target import open_target
-    from labkit.target_file import render_file
+    from labkit.target_file import render_target
 
     console: Console = ctx.obj
-    made = render_file(open_target(spec), file, dpi=dpi, pixels=pixels)
+    made = render_target(open_target(spec), file, dpi=dpi, pixels=pixels)
     height, width = made.size_mm
     console.say(
         f"{made.path}: {made.pixels[0]} × {made.pixels[1]} pixels, {height:g} × {width:g} mm"
@@ -246,21 +238,12 @@ def target_serve(
     """Show a target in a browser. On an iPad or any display, until Ctrl-C; the operator's page shows patterns too."""
     perhaps_a_plan(spec)
     from labkit.devices.context import DeviceContext
-    from labkit.devices.registry import open_display
-    from labkit.devices.serve_target import panel_plans, serve_target
-    from labkit.target import open_target
+    from labkit.devices.serve_target import serve_target
 
     console: Console = ctx.obj
-    target = open_target(spec)
     context = DeviceContext(show_link=console.link, warn=console.warn)
-    with ExitStack() as stack:
-        plans = panel_plans(spec, panel or [], listen)
-        displays = [
-            stack.enter_context(open_display(address, plan, context))
-            for address, plan in plans
-        ]
-        with suppress(KeyboardInterrupt):  # the way to end it
-            serve_target(target, displays, context)
+    with suppress(KeyboardInterrupt):  # the way to end it
+        serve_target(spec, panel or (), listen, context=context)
 
 
 Resume = Annotated[
@@ -434,37 +417,23 @@ def rail_calibrate(
     """Determine the rail's direction and zero. The rail moves, you measure; prints two lines for the plan."""
     a_plan(plan)
     from labkit.cli.questions import ask, ask_until, at_terminal
-    from labkit.devices.context import DeviceContext
-    from labkit.devices.rail_calibration import find_zero, measure, read_range, stations
-    from labkit.devices.registry import open_rail
+    from labkit.devices.rail_calibration import calibrate_rail, read_range
     from labkit.plan import Plan
 
     console: Console = ctx.obj
     wanted = Plan.load(plan)
-    if wanted.rail is None:
-        raise PlanError("the plan has no [rail]")
-    with open_rail(wanted.rail.address, wanted, DeviceContext()) as rail:
-        places = stations(rail.travel_mm, at or [])
-        ask(
-            f"The rail will home and then move to {', '.join(f'{mm:g}' for mm in places)} mm. Clear its way, press Enter"
-        )
-        rail.home()
-        read = partial(read_range, focal_length_mm=wanted.lens.focal_length_mm)
-        say = console.warn if at_terminal() else None
-        positions, ranges = measure(
-            rail, places, lambda question: ask_until(question, read), say
-        )
-    try:
-        zero = find_zero(positions, ranges)
-    except DataError as error:
-        listed = ", ".join(
-            f"{r:g} at {at:g}" for at, r in zip(positions, ranges, strict=True)
-        )
-        raise DataError(f"measured (mm): {listed}; {error}") from error
+    read = partial(read_range, focal_length_mm=wanted.lens.focal_length_mm)
+    zero = calibrate_rail(
+        wanted,
+        lambda question: ask_until(question, read),
+        at_mm=at or (),
+        ready=lambda words: ask(f"{words}. Clear its way, press Enter"),
+        say=console.warn if at_terminal() else None,
+    )
     std = "" if zero.std_mm is None else f"  # ± {zero.std_mm:.1f}"
     console.say(
         f"[rail]\nrange_at_zero_mm = {zero.range_at_zero_mm:.1f}{std}\ndirection = {zero.direction}"
     )
-    for place, misfit in zip(positions, zero.misfit_mm, strict=True):
+    for place, misfit in zip(zero.positions_mm, zero.misfit_mm, strict=True):
         console.say(f"# at {place:g} mm measured {misfit:+.1f} mm from that")
     console.answer(asdict(zero))

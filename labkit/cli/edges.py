@@ -16,8 +16,8 @@ from labkit.errors import DataError
 
 if TYPE_CHECKING:
     from labkit.edges.found_edges import Box
-    from labkit.edges.measurement import Scene
     from labkit.edges.outcome import EdgesOutcome
+    from labkit.plan import Plan
     from labkit.uncertain import Uncertain
 
 # What a command needs is imported inside it: `labkit --help` and tab completion must not wait for SciPy.
@@ -105,7 +105,7 @@ def edges(
     """Estimate ranges from straight edges. And the camera's response across them, by the fit and by ISO 12233."""
     a_file_or_plan(*images)
     a_file_or_session(psf)
-    from labkit.edges.measurement import Scene, measure_edges
+    from labkit.edges.measurement import measure_edges
     from labkit.plan import Plan
     from labkit.results import Results
 
@@ -115,28 +115,27 @@ def edges(
             "give one photograph or more, and behind them their plan: labkit edges IMAGE PLAN.toml"
         )
     *photographs, plan_path = images
-    results = None if psf is None else Results.load(psf, psf_name)
-    boxes, focused = (
-        [_box(text) for text in box or ()],
-        None if focus is None else _focus(focus),
-    )
-    scene = Scene(
-        photographs,
-        Plan.load(plan_path),
-        results,
-        boxes,
-        focused,
-        channel,
-        one_range,
-        most,
-        force,
-    )
+    plan = Plan.load(plan_path)
     with console.progress("edges") as report:
-        outcome = measure_edges(scene, workers, report)
-    _show(console, outcome, scene, out)
+        outcome = measure_edges(
+            photographs,
+            plan,
+            psf=None if psf is None else Results.load(psf, psf_name),
+            boxes=[_box(text) for text in box or ()],
+            focus_mm=None if focus is None else _focus(focus),
+            channels=channel,
+            one_range=one_range,
+            most=most,
+            force=force,
+            workers=workers,
+            progress=report,
+        )
+    _show(console, outcome, photographs[0], plan, out)
 
 
-def _show(console: Console, outcome: EdgesOutcome, scene: Scene, out: Path | None) -> None:
+def _show(
+    console: Console, outcome: EdgesOutcome, image: Path, plan: Plan, out: Path | None
+) -> None:
     """Print the measured edges. Raises DataError if no edge could be measured."""
     console.warn(*outcome.warnings)
     measured = bool(outcome.edges) or any(of.responses for of in outcome.rejected)
@@ -145,13 +144,11 @@ def _show(console: Console, outcome: EdgesOutcome, scene: Scene, out: Path | Non
     for of in outcome.rejected:
         console.warn(f"box {','.join(map(str, of.box))}: {of.why}")
     if out is not None:
-        for path in outcome.write(out, scene.images[0], scene.plan):
+        for path in outcome.write(out, image, plan):
             console.say(f"written: {path}")
     console.answer(outcome.as_json())
     if not measured:
-        raise DataError(
-            f"{scene.images[0]}: no edge could be measured: {outcome.rejected[0].why}"
-        )
+        raise DataError(f"{image}: no edge could be measured: {outcome.rejected[0].why}")
 
 
 def _box(text: str) -> Box:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from contextlib import ExitStack, suppress
-from dataclasses import asdict, replace
+from contextlib import closing, suppress
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -13,12 +13,9 @@ import typer
 from labkit.cli.app import CameraPlace, camera_app
 from labkit.cli.console import Console
 from labkit.cli.paths import perhaps_a_plan
-from labkit.errors import PlanError
 
 if TYPE_CHECKING:
-    from labkit.acquisition.camera_check import LoneCamera
     from labkit.acquisition.focusing import FocusReading
-    from labkit.devices.context import DeviceContext
 
 HISTORY = 24
 BARS = "▁▂▃▄▅▆▇█"
@@ -60,61 +57,26 @@ def camera_focus(
 ) -> None:
     """Photograph on and on, to focus by. Sharpness, clipping, the target's outline, until Ctrl-C; nothing is kept."""
     perhaps_a_plan(where)
-    from labkit.acquisition.camera_check import open_lone_camera
-    from labkit.acquisition.focusing import focus
+    from labkit.acquisition.focusing import watch_focus
     from labkit.devices.context import DeviceContext
     from labkit.devices.operator import Operator
-    from labkit.devices.registry import observers_of, open_monitor
 
     console: Console = ctx.obj
     context = DeviceContext(
         show_link=console.link, warn=console.warn, operator=Operator(console.still)
     )
+    page = f"web://{listen}" if listen else "web:" if monitor else None
     readings: list[FocusReading] = []
-    with ExitStack() as stack:
-        alone = open_lone_camera(where, context)
-        stack.enter_context(alone.camera)
-        if monitor or listen:
-            page = stack.enter_context(
-                open_monitor(f"web://{listen}" if listen else "web:", alone.plan, context)
-            )
-            context = replace(context, observers=(page,))
-        shown = _set_up(alone, range_mm, context, stack)
-        with suppress(KeyboardInterrupt):  # the way to end it
-            for reading in focus(alone, observers_of(context, shown)):
-                readings.append(reading)
-                console.say(line(readings))
+    with (
+        closing(
+            watch_focus(where, range_mm=range_mm, page=page, context=context)
+        ) as watched,
+        suppress(KeyboardInterrupt),  # the way to end it
+    ):
+        for reading in watched:
+            readings.append(reading)
+            console.say(line(readings))
     _say_best(console, readings)
-
-
-def _set_up(
-    alone: LoneCamera, range_mm: float | None, context: DeviceContext, stack: ExitStack
-) -> Sequence[object]:
-    """Show the plan's target and move its rail, if the plan has them; return the opened devices."""
-    from labkit.acquisition.sequence import shown_target
-    from labkit.devices.registry import open_rail
-
-    plan, opened = alone.plan, list[object]()
-    if range_mm is not None:
-        if plan.rail is None:
-            raise PlanError(
-                f"--range {range_mm:g}: to move a rail it takes a plan with [rail]"
-            )
-        rail = stack.enter_context(open_rail(plan.rail.address, plan, context))
-        reached = sorted(
-            plan.rail.range_mm(end)
-            for end in (rail.travel_mm.low_mm, rail.travel_mm.high_mm)
-        )
-        if not reached[0] <= range_mm <= reached[1]:
-            raise PlanError(
-                f"--range {range_mm:g}: the rail reaches {reached[0]:g} to {reached[1]:g} mm"
-            )
-        rail.home()
-        rail.move_to(plan.rail.position_mm(range_mm))
-        opened.append(rail)
-    if plan.display is not None:
-        opened.append(stack.enter_context(shown_target(plan, context)))
-    return opened
 
 
 def line(readings: Sequence[FocusReading]) -> str:

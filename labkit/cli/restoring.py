@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -13,15 +13,13 @@ from labkit.cli.app import app
 from labkit.cli.console import Console
 from labkit.cli.paths import a_file_or_session
 from labkit.cli.sessions import Workers
-from labkit.errors import DataError, SessionError
+from labkit.errors import DataError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from labkit.restoration.job import Area, Job
-    from labkit.restoration.restore import Wanted
-    from labkit.results import Results
-    from labkit.session.session import Session
+    from labkit.restoration.restore import Restoration
     from labkit.types import Floats32
 
 # What a command needs is imported inside it: `labkit --help` and tab completion must not wait for SciPy.
@@ -134,6 +132,7 @@ def restore(
     a_file_or_session(*photographs, psf)
     from labkit.execute import default_workers
     from labkit.restoration.restore import Wanted
+    from labkit.restoration.scenes import scenes_of
 
     if method not in METHODS:
         raise DataError(f"--method {method}: allowed is {', '.join(METHODS)}")
@@ -152,7 +151,22 @@ def restore(
         sixteen_bit=sixteen_bit,
         workers=workers or default_workers(),
     )
-    _restored(ctx.obj, photographs, psf, out, name, wanted)
+    console: Console = ctx.obj
+    answers = []
+    for scene in scenes_of(photographs, psf, out, name, wanted):
+        with console.progress("restoring") as report:
+            made = scene(say=console.say, progress=report)
+        answers.append(_shown(console, made, method))
+    console.answer(answers[0] if len(answers) == 1 else {"restored": answers})
+
+
+def _shown(console: Console, made: Restoration, method: str) -> dict[str, Any]:
+    """Print what was restored; return it as JSON."""
+    console.warn(*made.notes)
+    chosen = made.about["lambda"]
+    by = f"lambda {chosen['value']:.3g} by {chosen['chosen_by']}" if chosen else method
+    console.say(f"restored: {made.folder}, {by}, {made.about['seconds']:.0f} s")
+    return {"folder": str(made.folder), **made.about}
 
 
 def _baseline(method: str) -> Callable[[Job], Floats32] | None:
@@ -162,87 +176,6 @@ def _baseline(method: str) -> Callable[[Job], Floats32] | None:
     from labkit.experiments.methods.restoration_baselines import baseline
 
     return partial(baseline, method=method)
-
-
-def _restored(
-    console: Console,
-    photographs: list[Path],
-    psf: Path | None,
-    out: Path | None,
-    name: str,
-    wanted: Wanted,
-) -> None:
-    """Restore each range's photographs into a folder, and say so."""
-    from labkit.restoration.restore import restore_images, restore_session
-    from labkit.results import Results
-
-    if psf is None and not (len(photographs) == 1 and photographs[0].is_dir()):
-        raise DataError(
-            "whose lens took them? Give --psf SESSION, or a session's folder alone"
-        )
-    folder = photographs[0] if psf is None else psf
-    results, session = Results.load(folder, name), _session(folder, own=psf is None)
-    answers = []
-    for place, range_mm in _places(photographs, psf, out, name, wanted, results):
-        with console.progress("restoring") as report:
-            if psf is None:
-                assert session is not None
-                made = restore_session(
-                    session, results, range_mm, place, wanted, console.say, report
-                )
-            else:
-                made = restore_images(
-                    photographs, results, session, place, wanted, console.say, report
-                )
-        console.warn(*made.notes)
-        chosen = made.about["lambda"]
-        by = (
-            f"lambda {chosen['value']:.3g} by {chosen['chosen_by']}"
-            if chosen
-            else str(wanted.method)
-        )
-        console.say(f"restored: {made.folder}, {by}, {made.about['seconds']:.0f} s")
-        answers.append({"folder": str(made.folder), **made.about})
-    console.answer(answers[0] if len(answers) == 1 else {"restored": answers})
-
-
-def _places(
-    photographs: list[Path],
-    psf: Path | None,
-    out: Path | None,
-    name: str,
-    wanted: Wanted,
-    results: Results,
-) -> list[tuple[Path, float | None]]:
-    """Return the output folders, each with its range."""
-    if psf is not None:
-        return [
-            (
-                out or photographs[0].parent / f"{photographs[0].stem}-restored",
-                wanted.range_mm,
-            )
-        ]
-    ranges = results.ranges_mm if wanted.range_mm is None else (wanted.range_mm,)
-    base = out or photographs[0] / "results" / name / "restored"
-    return [
-        (base / f"{r:g}" if r is not None and len(ranges) > 1 else base, r) for r in ranges
-    ]
-
-
-def _session(folder: Path, own: bool) -> Session | None:
-    """Return the session in a folder; None for a folder of results alone if no photographs are needed."""
-    from labkit.files import links_in, refuse_links
-    from labkit.session.session import Session
-
-    try:
-        session = Session.open(folder)
-    except SessionError:
-        if own:
-            raise
-        return None
-    if own:
-        refuse_links(*links_in(folder))
-    return session
 
 
 def _strength(given: str) -> float | Literal["discrepancy", "l-curve"]:

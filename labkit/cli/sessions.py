@@ -451,11 +451,10 @@ def study(
     workers: Workers = None,
 ) -> None:
     """Run an experiment of the thesis. Prints its claims beside ours as JSON."""
-    from labkit.execute import default_workers
-    from labkit.experiments.runner import Setting, run_study
+    from labkit.experiments.runner import run_study
 
     console: Console = ctx.obj
     with console.progress(name) as report:
-        summary = run_study(name, Setting(quick, workers or default_workers(), report), out)
+        summary = run_study(name, quick=quick, folder=out, workers=workers, progress=report)
     console.json = True  # its contract: one JSON object, asked for or not
     console.answer(summary)

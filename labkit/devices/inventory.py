@@ -98,10 +98,18 @@ class Connected:
 
 
 def list_connected(probe: bool = False) -> Connected:
-    """List cameras, USB devices, serial ports, pages and entry points; `notes` name what was not searched.
+    """List cameras, USB devices, serial ports, pages and entry points.
 
-    probe: ask at each free serial port on USB whether a rail is there. Nothing moves, but
-    opening a port restarts some controllers, which then need homing.
+    Parameters
+    ----------
+    probe : whether to ask at each free serial port on USB for a rail; nothing moves, but
+        opening a port restarts some controllers, which then need homing
+
+    Returns
+    -------
+    what is connected; its `notes` name what was not searched
+
+    >>> labkit.list_connected().cameras
     """
     cameras, notes = _cameras()
     devices: tuple[UsbDevice, ...] | None = None

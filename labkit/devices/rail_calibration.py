@@ -5,12 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
+from labkit.devices.context import DeviceContext
 from labkit.devices.protocols import Rail, Travel
+from labkit.devices.registry import open_rail
 from labkit.errors import DataError, PlanError, shown
+from labkit.plan import Plan
 
 TAPE_MM = 3.0
 """Measured by hand, a range may err by so much."""
@@ -35,6 +39,53 @@ class RailZero:
     std_mm: float | None
     scale: float
     misfit_mm: tuple[float, ...]
+    positions_mm: tuple[float, ...]
+
+
+def calibrate_rail(
+    plan: Plan | Path | str,
+    ask: Callable[[str], float],
+    *,
+    at_mm: Sequence[float] = (),
+    ready: Callable[[str], object] = lambda words: None,
+    say: Callable[[str], None] | None = None,
+) -> RailZero:
+    """Determine a rail's direction and zero: the rail homes and moves, a person measures ranges.
+
+    Parameters
+    ----------
+    plan : the plan, or its path; it states the rail
+    ask : called with a question at each position; returns the range from target to lens, mm
+    at_mm : rail positions to measure at; by default three over the travel
+    ready : called with what the rail will do, before it moves
+    say : called with each reading that does not fit, before it is repeated; None to ask once
+
+    Raises
+    ------
+    PlanError
+        the plan has no rail, or a position is outside the travel
+    DataError
+        the ranges do not follow from a rail that moves as far as it reports
+    DeviceError
+        of the rail
+
+    >>> labkit.calibrate_rail("plan.toml", lambda question: float(input(question)))
+    """
+    plan = plan if isinstance(plan, Plan) else Plan.load(Path(plan))
+    if plan.rail is None:
+        raise PlanError("the plan has no [rail]")
+    with open_rail(plan.rail.address, plan, DeviceContext()) as rail:
+        places = stations(rail.travel_mm, at_mm)
+        listed = ", ".join(f"{mm:g}" for mm in places)
+        ready(f"The rail will home and then move to {listed} mm")
+        rail.home()
+        positions, ranges = measure(rail, places, ask, say)
+    try:
+        return find_zero(positions, ranges)
+    except DataError as error:
+        pairs = zip(positions, ranges, strict=True)
+        listed = ", ".join(f"{r:g} at {at:g}" for at, r in pairs)
+        raise DataError(f"measured (mm): {listed}; {error}") from error
 
 
 def stations(travel: Travel, asked_mm: Sequence[float]) -> tuple[float, ...]:
@@ -166,4 +217,11 @@ def find_zero(positions_mm: Sequence[float], ranges_mm: Sequence[float]) -> Rail
             f"the {ranges[worst]:g} mm measured at {at[worst]:g} mm are {misfit[worst]:+.1f} mm from where the others have "
             f"them: allowed is {2 * TAPE_MM:g}; measure again"
         )
-    return RailZero(direction, float(zeros.mean()), std_mm, abs(slope), misfit)
+    return RailZero(
+        direction,
+        float(zeros.mean()),
+        std_mm,
+        abs(slope),
+        misfit,
+        tuple(float(mm) for mm in at),
+    )

@@ -5,18 +5,19 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from queue import Empty, SimpleQueue
 
 from labkit.devices.context import DeviceContext
 from labkit.devices.protocols import Display, Picture
-from labkit.devices.registry import observers_of
+from labkit.devices.registry import observers_of, open_display
 from labkit.devices.test_patterns import PATTERNS, pattern
 from labkit.errors import DisplayError, PlanError
 from labkit.panel.panels import PANELS
 from labkit.panel.picture import panel_picture
 from labkit.plan import DisplaySettings, Plan
-from labkit.target import Target
+from labkit.target import Target, open_target
 
 TARGET = "target"
 CHOICES = (TARGET, *PATTERNS)
@@ -29,6 +30,41 @@ RETRY_S = 1.0
 
 
 def serve_target(
+    spec: str,
+    panels: Sequence[str] = (),
+    listen: str = "127.0.0.1:8642",
+    *,
+    context: DeviceContext | None = None,
+    going: Callable[[], bool] = lambda: True,
+) -> None:
+    """Show a target in a browser, on an iPad or any display, while `going`.
+
+    Parameters
+    ----------
+    spec : path of a plan, or a target such as "sierpinski:order=5,size_mm=46.8"
+    panels : names of the displays' panels; by default the plan's
+    listen : HOST:PORT of the page
+    context : what drivers are given, for links and warnings
+    going : asked again and again; the target is shown until it returns False
+
+    Raises
+    ------
+    PlanError, TargetError, DisplayError
+        of the plan, of a target too large for the panel, of the page
+
+    >>> labkit.serve_target("sierpinski:order=5,size_mm=46.8", ["ipad-9.7-retina"], "0.0.0.0:8642")
+    """
+    context = context or DeviceContext()
+    target = open_target(spec)
+    with ExitStack() as stack:
+        displays = [
+            stack.enter_context(open_display(address, plan, context))
+            for address, plan in panel_plans(spec, panels, listen)
+        ]
+        keep_showing(target, displays, context, going)
+
+
+def keep_showing(
     target: Target,
     displays: Sequence[Display],
     context: DeviceContext,

@@ -61,6 +61,65 @@ class Scene:
 
 
 def measure_edges(
+    images: Path | str | Sequence[Path | str],
+    plan: Plan | Path | str,
+    *,
+    psf: Results | Path | str | None = None,
+    boxes: Sequence[Box] = (),
+    focus_mm: Uncertain | None = None,
+    channels: Sequence[str] | None = None,
+    one_range: bool = False,
+    most: int = MOST_EDGES,
+    force: bool = False,
+    workers: int | None = None,
+    progress: Progress = no_progress,
+) -> EdgesOutcome:
+    """Measure straight edges of a scene: their ranges, and the camera's response across them.
+
+    Parameters
+    ----------
+    images : one photograph, or several of one scene with the camera at rest
+    plan : the photographs' plan, or its path
+    psf : results, or their folder, of a session with the same lens and aperture, whose
+        wavefront and best focus are taken; None to fit the wavefront along
+    boxes : (first row, first column, row and column after the last) around each edge, in
+        raw pixels; none to search for edges
+    focus_mm : range that the lens is focused at, in place of the session's
+    channels : channels to measure; None for all
+    one_range : whether all edges are at one range
+    most : largest number of edges that are searched for
+    force : whether to take a session of another camera
+    workers : number of processes, by default one for each core
+    progress : called as the work goes on
+
+    Returns
+    -------
+    the edges, and boxes that give no edge with the reasons
+
+    Raises
+    ------
+    RawError, DataError
+        of photographs and sessions that cannot be used, and where no edge is found
+
+    >>> labkit.measure_edges("chart.dng", "plan.toml", psf="night-3").edges
+    """
+    given = [images] if isinstance(images, Path | str) else images
+    results = psf if psf is None or isinstance(psf, Results) else Results.load(psf)
+    scene = Scene(
+        [Path(image) for image in given],
+        plan if isinstance(plan, Plan) else Plan.load(Path(plan)),
+        results,
+        boxes,
+        focus_mm,
+        channels,
+        one_range,
+        most,
+        force,
+    )
+    return edges_of(scene, workers, progress)
+
+
+def edges_of(
     scene: Scene, workers: int | None = None, progress: Progress = no_progress
 ) -> EdgesOutcome:
     """Measure the ranges of a scene's edges, and the camera's response across them, by a fit and by ISO 12233.

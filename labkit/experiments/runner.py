@@ -15,11 +15,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
 from labkit.errors import InputError
-from labkit.execute import run_all
+from labkit.execute import default_workers, run_all
 from labkit.experiments.studies import STUDIES
 from labkit.figure_style import png, styled
 from labkit.files import write_atomically
-from labkit.types import Progress
+from labkit.types import Progress, no_progress
 
 Task = TypeVar("Task")
 Answer = TypeVar("Answer")
@@ -68,13 +68,39 @@ def all_answers(
     return [answers[index] for index in range(len(tasks))]
 
 
-def run_study(name: str, setting: Setting, folder: Path | None = None) -> dict[str, Any]:
-    """Run a study and return its summary; with a folder, write NAME.json, NAME.csv and NAME.png into it.
+def run_study(
+    name: str,
+    *,
+    quick: bool = False,
+    folder: Path | str | None = None,
+    workers: int | None = None,
+    progress: Progress = no_progress,
+) -> dict[str, Any]:
+    """Run an experiment of the thesis.
 
-    Raises InputError for an unknown name.
+    Parameters
+    ----------
+    name : of the study
+    quick : whether to run a few trials only
+    folder : where to write NAME.json, NAME.csv and NAME.png; None to write nothing
+    workers : number of processes, by default one for each core
+    progress : called as the work goes on
+
+    Returns
+    -------
+    the study's claims, each with the thesis's value, as `labkit study` prints them
+
+    Raises
+    ------
+    InputError
+        there is no study of that name
+
+    >>> labkit.run_study("crb", quick=True)["claims"]
     """
     if name not in STUDIES:
         raise InputError(f"no study {name!r}: there are {', '.join(STUDIES)}")
+    setting = Setting(quick, workers or default_workers(), progress)
+    folder = None if folder is None else Path(folder)
     began = perf_counter()
     outcome: Outcome = importlib.import_module(f"labkit.experiments.{STUDIES[name]}").run(
         setting

@@ -53,8 +53,25 @@ class _Photograph:
     white: int = 65535
 
 
-def draft_plan(image: Path) -> Draft:
-    """Return a plan for photographs like this. Raises RawError for a file that is no readable photograph."""
+def draft_plan(image: Path | str) -> Draft:
+    """Draft a plan for photographs like one.
+
+    Parameters
+    ----------
+    image : raw file, JPEG, TIFF, PNG or PGM
+
+    Returns
+    -------
+    the plan's text, and the keys that it leaves to fill in
+
+    Raises
+    ------
+    RawError
+        the file is no readable photograph
+
+    >>> labkit.draft_plan("IMG_0001.NEF").fill_in
+    """
+    image = Path(image)
     photograph, exif = _looked_at(image)
     blocks, fill_in = [[*_heading(image, exif, photograph), HOW_TO_FILL_IN]], []
     for name, rows in _tables(exif, photograph):

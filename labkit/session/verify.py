@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 from labkit.errors import SessionError
 from labkit.files import checksum_problem, link_problem, links_in
@@ -17,8 +18,26 @@ PUT_BACK = (
 )
 
 
-def verify(session: Session) -> list[str]:
-    """Return the faults of a session, one line each: frames, journal, folder, links."""
+def verify(session: Session | Path | str) -> list[str]:
+    """Check a session: frames and plan against their checksums, the journal against the folder.
+
+    Parameters
+    ----------
+    session : the session, or its folder
+
+    Returns
+    -------
+    the faults, one line each; empty for a whole session
+
+    Raises
+    ------
+    SessionError
+        the folder is no session
+
+    >>> labkit.verify("night-3")
+    []
+    """
+    session = session if isinstance(session, Session) else Session.open(Path(session))
     problems = [*session.plan_damage(), *altered(session), *session.doubled]
     problems += [f"{path}: not in the journal" for path in unlisted(session)]
     links = [link_problem(path) for path in links_in(session.folder)]

@@ -18,7 +18,7 @@ from labkit.devices.context import DeviceContext, Devices
 from labkit.devices.operator import Operator
 from labkit.devices.protocols import Picture, Shown
 from labkit.devices.registry import open_camera, open_rail
-from labkit.devices.serve_target import CHOICES, serve_target
+from labkit.devices.serve_target import CHOICES, keep_showing
 from labkit.devices.shared import SharedParts
 from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.web.display import WebDisplay
@@ -311,7 +311,7 @@ def test_served_targets_are_picked_on_the_page(lab: Lab, glass: OpenGlass) -> No
     ended = threading.Event()
     server = lab.server
     work = threading.Thread(
-        target=serve_target,
+        target=keep_showing,
         args=(target, [display], lab.context, lambda: not ended.is_set()),
     )
     work.start()

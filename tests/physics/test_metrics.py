@@ -211,7 +211,7 @@ def test_small_aberrations_have_marechals_strehl_ratio() -> None:
 
 def test_the_strehl_ratio_is_the_highest_of_a_fine_psf_whatever_the_tilt() -> None:
     value = strehl(fitted(MIXED)).value
-    fine = Pupil(600.0, 450.0, 2.8, AIRY_UM / 40, 9600, NOLL)
+    fine = Pupil(0.6, 0.45, 2.8, AIRY_UM / 40, 9600, NOLL)
     at = AIRY_UM / 40 * np.arange(-60.0, 61.0)
     peak = fine.psf_at(MIXED, at)[0].max() / fine.psf_at(np.zeros(12), np.zeros(1))[0].max()
     # samples miss the peak by up to lambda N / 57: by (pi / 57)^2 / 4 = 8e-4 of it; the pupil's rim is counted to as much

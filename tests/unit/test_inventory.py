@@ -53,7 +53,7 @@ class FakeUsbDevice(list[list[SimpleNamespace]]):
 
 def test_a_camera_is_told_by_its_interface(monkeypatch: pytest.MonkeyPatch) -> None:
     found = [FakeUsbDevice(6), FakeUsbDevice(9, readable=False)]
-    monkeypatch.setattr(usb.core, "found_edges", lambda find_all: iter(found))
+    monkeypatch.setattr(usb.core, "find", lambda find_all: iter(found))
     assert list_connected().usb == (
         UsbDevice("001,004", "04b0:0430", "Nikon DSC D7000", is_camera=True),
         UsbDevice("001,004", "04b0:0430", "", is_camera=False),
@@ -66,7 +66,7 @@ def test_missing_libusb_is_a_note_that_says_what_to_install(
     def no_backend(find_all: bool) -> None:
         raise usb.core.NoBackendError("No backend available")
 
-    monkeypatch.setattr(usb.core, "found_edges", no_backend)
+    monkeypatch.setattr(usb.core, "find", no_backend)
     found = list_connected()
     assert found.usb is None
     assert "apt-get install libusb" in found.notes[0]
@@ -84,7 +84,7 @@ def test_cameras_are_listed_as_their_drivers_see_them(
 def probed(
     monkeypatch: pytest.MonkeyPatch, ports: list[SimpleNamespace], answers: Any
 ) -> Connected:
-    monkeypatch.setattr(usb.core, "found_edges", lambda find_all: iter([]))
+    monkeypatch.setattr(usb.core, "find", lambda find_all: iter([]))
     monkeypatch.setattr(list_ports, "comports", lambda: ports)
     monkeypatch.setattr(
         inventory, "probes", lambda: {"acme": lambda path: None, "rig": answers}
@@ -132,7 +132,7 @@ def test_a_driver_that_cannot_look_is_noted(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_serial_ports_are_listed_by_path(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(usb.core, "found_edges", lambda find_all: iter([]))
+    monkeypatch.setattr(usb.core, "find", lambda find_all: iter([]))
     ports = [fake_port(f"/dev/ttyUSB{i}") for i in (91, 90)]
     monkeypatch.setattr(list_ports, "comports", lambda: ports)
     assert list_connected().serial == (
@@ -151,7 +151,7 @@ def test_a_program_that_holds_a_port_is_named(monkeypatch: pytest.MonkeyPatch) -
     with subprocess.Popen(["sleep", "60"], stdin=far) as program:
         try:
             assert f"sleep ({program.pid})" in holders([path])[path]
-            monkeypatch.setattr(usb.core, "found_edges", lambda find_all: iter([]))
+            monkeypatch.setattr(usb.core, "find", lambda find_all: iter([]))
             monkeypatch.setattr(list_ports, "comports", lambda: [fake_port(path)])
             assert f"{path}: in use by sleep ({program.pid})" in " ".join(
                 list_connected().notes
@@ -175,7 +175,7 @@ def test_without_proc_it_is_noted_that_holders_are_not_known(
 ) -> None:
     # as on macOS
     monkeypatch.setattr(inventory, "PROC", tmp_path / "proc")
-    monkeypatch.setattr(usb.core, "found_edges", lambda find_all: iter([]))
+    monkeypatch.setattr(usb.core, "find", lambda find_all: iter([]))
     monkeypatch.setattr(list_ports, "comports", lambda: [fake_port("/dev/null")])
     assert list_connected().notes == (
         f"which programs hold a device is not known: this system has no {tmp_path}/proc",
@@ -186,7 +186,7 @@ def test_without_proc_it_is_noted_that_holders_are_not_known(
 def test_the_desktop_that_holds_a_camera_comes_with_what_to_do(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(usb.core, "found_edges", lambda find_all: iter([FakeUsbDevice(6)]))
+    monkeypatch.setattr(usb.core, "find", lambda find_all: iter([FakeUsbDevice(6)]))
     monkeypatch.setattr(list_ports, "comports", lambda: [])
     held = {"/dev/bus/usb/001/004": ("gvfsd-gphoto2 (812)",)}
     monkeypatch.setattr(
@@ -200,7 +200,7 @@ def test_the_desktop_that_holds_a_camera_comes_with_what_to_do(
 
 
 def test_a_missing_permission_points_to_the_rule(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(usb.core, "found_edges", lambda find_all: iter([FakeUsbDevice(6)]))
+    monkeypatch.setattr(usb.core, "find", lambda find_all: iter([FakeUsbDevice(6)]))
     monkeypatch.setattr(list_ports, "comports", lambda: [fake_port("/dev/null")])
     monkeypatch.setattr(os, "access", lambda path, mode: False)
     assert [
@@ -236,7 +236,7 @@ def test_without_devices_the_rules_say_what_to_do() -> None:
 
 def test_a_devices_name_cannot_add_a_rule(monkeypatch: pytest.MonkeyPatch) -> None:
     evil = 'x\nSUBSYSTEM=="usb", RUN+="/bin/sh"'
-    monkeypatch.setattr(usb.core, "found_edges", lambda find_all: iter([]))
+    monkeypatch.setattr(usb.core, "find", lambda find_all: iter([]))
     monkeypatch.setattr(list_ports, "comports", lambda: [fake_port("/dev/ttyUSB90", evil)])
     found = list_connected()
     assert "\n" not in found.serial[0].name

@@ -1,11 +1,20 @@
 """What `import labkit` offers: these names, each with a line of use, and nothing that takes time."""
 
+import inspect
 import subprocess
 import sys
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
+import typer
+from typer.core import TyperGroup
 
 import labkit
+import labkit.cli.command_line
+from labkit.cli.app import app
+from labkit.session.session import Session
+from tests.results_samples import PLAN
 
 NAMES = {
     "LabkitError",
@@ -17,12 +26,26 @@ NAMES = {
     "Wavefront",
     "__version__",
     "advise",
+    "calibrate_rail",
+    "camera_settings",
     "capture",
+    "check_camera",
+    "draft_plan",
     "fit",
     "fit_image",
     "import_frames",
+    "list_connected",
+    "measure_edges",
+    "measure_tone",
     "open_devices",
     "open_target",
+    "render_target",
+    "restore",
+    "run_demo",
+    "run_study",
+    "serve_target",
+    "verify",
+    "watch_focus",
     "write_report",
 }
 
@@ -35,6 +58,67 @@ def test_the_public_names_are_these() -> None:
 @pytest.mark.parametrize("name", sorted(NAMES - {"__version__"}))
 def test_every_public_name_shows_a_line_of_use(name: str) -> None:
     assert ">>> " in (getattr(labkit, name).__doc__ or "")
+
+
+COMMANDS = {
+    "advise": "advise",
+    "camera focus": "watch_focus",
+    "camera settings": "camera_settings",
+    "camera test": "check_camera",
+    "camera tone": "measure_tone",
+    "capture": "capture",
+    "demo": "run_demo",
+    "devices": "list_connected",
+    "edges": "measure_edges",
+    "fit": "fit",
+    "import": "import_frames",
+    "plan": "draft_plan",
+    "rail calibrate": "calibrate_rail",
+    "report": "write_report",
+    "restore": "restore",
+    "study": "run_study",
+    "target render": "render_target",
+    "target serve": "serve_target",
+    "verify": "verify",
+}
+"""The public function that does what each command does."""
+
+
+def commands(group: TyperGroup, before: str = "") -> Iterator[str]:
+    for name, command in group.commands.items():
+        if isinstance(command, TyperGroup):
+            yield from commands(command, f"{before}{name} ")
+        else:
+            yield before + name
+
+
+def test_what_a_command_does_a_script_can_do() -> None:
+    group = typer.main.get_command(app)
+    assert isinstance(group, TyperGroup)
+    assert set(commands(group)) == set(COMMANDS)
+    assert set(COMMANDS.values()) <= NAMES
+
+
+@pytest.mark.parametrize("name", sorted(set(COMMANDS.values())))
+def test_a_public_function_takes_no_array_method_and_no_process_limit(name: str) -> None:
+    switches = {"method", "baseline", "tile_px", "solver", "optimizer", "wanted"}
+    assert switches.isdisjoint(inspect.signature(getattr(labkit, name)).parameters)
+
+
+def test_a_session_is_verified_by_its_path(tmp_path: Path) -> None:
+    Session.create(tmp_path / "night", PLAN.to_toml(), tmp_path).close()
+    assert labkit.verify(tmp_path / "night") == []
+    plan = tmp_path / "night" / "plan.toml"
+    plan.write_text(plan.read_text() + "\n")
+    (problem,) = labkit.verify(str(tmp_path / "night"))
+    assert "plan.toml" in problem
+
+
+def test_a_target_is_rendered_from_its_name(tmp_path: Path) -> None:
+    made = labkit.render_target(
+        "sierpinski:order=2,size_mm=9", str(tmp_path / "a.png"), pixels=27
+    )
+    assert made.pixels == (27, 27)
 
 
 def test_another_name_is_an_error_that_names_it() -> None:

@@ -12,7 +12,7 @@ import pytest
 from labkit.devices import serve_target as serving
 from labkit.devices.context import DeviceContext
 from labkit.devices.protocols import PanelInfo, Picture, Shown
-from labkit.devices.serve_target import serve_target
+from labkit.devices.serve_target import keep_showing
 from labkit.errors import DisplayError
 from labkit.plan import TargetSpec
 from labkit.target import open_target
@@ -52,7 +52,7 @@ def serve(display: Slow, context: DeviceContext, act: Callable[[], None]) -> Non
     target = open_target(TargetSpec(kind="sierpinski", order=1, size_mm=9.0))
     ended = threading.Event()
     work = threading.Thread(
-        target=serve_target, args=(target, [display], context, lambda: not ended.is_set())
+        target=keep_showing, args=(target, [display], context, lambda: not ended.is_set())
     )
     work.start()
     try:

@@ -13,7 +13,7 @@ from PIL import Image
 from labkit.errors import InputError, TargetError
 from labkit.plan import TargetSpec
 from labkit.target import CellTarget, open_target, read_spec
-from labkit.target_file import render_file
+from labkit.target_file import render_target
 from labkit.targets.image import read_radiance
 from labkit.targets.sierpinski import carpet_cells
 from tests.plans import PORTRAIT, plan_text
@@ -99,7 +99,7 @@ def test_a_bad_picture_is_refused_in_one_line(tmp_path: Path, make, says: str) -
 
 def test_a_png_holds_every_cell_whole_and_states_its_true_size(tmp_path: Path) -> None:
     target = open_target(read_spec("sierpinski:order=3,size_mm=46.8"))
-    made = render_file(target, tmp_path / "carpet.png", pixels=27 * 4)
+    made = render_target(target, tmp_path / "carpet.png", pixels=27 * 4)
     with Image.open(made.path) as picture:
         dots, dpi = np.asarray(picture), picture.info["dpi"]
     np.testing.assert_array_equal(dots, np.kron(carpet_cells(3), np.full((4, 4), 255)))
@@ -112,14 +112,14 @@ def test_cells_that_are_no_whole_pixels_are_reported_with_the_resolution_to_ask_
     tmp_path: Path,
 ) -> None:
     target = open_target(read_spec("sierpinski:order=3,size_mm=25.4"))
-    made = render_file(target, tmp_path / "carpet.png", dpi=100)
+    made = render_target(target, tmp_path / "carpet.png", dpi=100)
     assert made.pixels == (100, 100)
     assert "108 pixels (108.00 dpi)" in made.notes[0]
 
 
 def test_a_pdf_page_is_as_large_as_the_target(tmp_path: Path) -> None:
     target = open_target(read_spec("sierpinski:order=2,size_mm=127"))
-    content = render_file(target, tmp_path / "carpet.pdf").path.read_bytes()
+    content = render_target(target, tmp_path / "carpet.pdf").path.read_bytes()
     assert b"/MediaBox [ 0 0 360 360 ]" in content  # 127 mm = 5 inch = 360 points
 
 
@@ -165,9 +165,9 @@ def test_a_picture_of_more_than_can_be_drawn_is_refused_by_its_declared_size(
 def test_a_failed_write_leaves_nothing(tmp_path: Path) -> None:
     target = open_target(read_spec("sierpinski:order=1,size_mm=1"))
     with pytest.raises(TargetError, match=r"\.png or \.pdf"):
-        render_file(target, tmp_path / "carpet.jpg")
+        render_target(target, tmp_path / "carpet.jpg")
     with pytest.raises(TargetError, match="pixels over"):
-        render_file(target, tmp_path / "carpet.png", dpi=1e9)
+        render_target(target, tmp_path / "carpet.png", dpi=1e9)
     with pytest.raises(InputError, match="cannot write"):
-        render_file(target, tmp_path / "nowhere" / "carpet.png")
+        render_target(target, tmp_path / "nowhere" / "carpet.png")
     assert list(tmp_path.iterdir()) == []

@@ -11,7 +11,7 @@ from PIL import Image
 from labkit.errors import PlanError, TargetError
 from labkit.plan import Plan, TargetSpec
 from labkit.target import CellTarget, open_target, read_spec
-from labkit.target_file import render_file
+from labkit.target_file import render_target
 from labkit.targets.noise import noise_cells
 from labkit.targets.slanted_edge import SlantedEdge
 from labkit.targets.tribar import tribar_cells, triple
@@ -122,27 +122,27 @@ def test_a_printed_target_holds_every_cell_at_its_true_size(
 ) -> None:
     target = open_target(read_spec(spec))
     assert isinstance(target, CellTarget)
-    made = render_file(target, tmp_path / "target.png", pixels=2 * target.cells.shape[0])
+    made = render_target(target, tmp_path / "target.png", pixels=2 * target.cells.shape[0])
     with Image.open(made.path) as picture:
         np.testing.assert_array_equal(
             np.asarray(picture), np.kron(255 * target.cells, np.ones((2, 2)))
         )
         # a PNG holds whole pixels per metre
         assert made.pixels[0] / picture.info["dpi"][0] == pytest.approx(1.0, rel=1 / 1000)
-    page = render_file(target, tmp_path / "target.pdf").path.read_bytes()
+    page = render_target(target, tmp_path / "target.pdf").path.read_bytes()
     assert b"/MediaBox [ 0 0 72 72 ]" in page  # 25.4 mm = 1 inch = 72 points
 
 
 def test_a_target_without_cells_is_printed_finely(tmp_path: Path) -> None:
     target = open_target(read_spec("slanted_edge:angle_deg=5,size_mm=25.4"))
-    made = render_file(target, tmp_path / "edge.png")
+    made = render_target(target, tmp_path / "edge.png")
     assert made.pixels == (600, 600)
     assert (
         made.notes[0] == "what is not upright is drawn in steps of a dot, 42.3 um"
     )  # an inch over 600
     assert (
         b"/MediaBox [ 0 0 72 72 ]"
-        in render_file(target, tmp_path / "edge.pdf").path.read_bytes()
+        in render_target(target, tmp_path / "edge.pdf").path.read_bytes()
     )
 
 
