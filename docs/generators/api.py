@@ -33,6 +33,12 @@ RELATED = {
     "labkit.advice.advise": ("Advice", "RangeAdvice"),
     "labkit.advice.outlook": ("Outlook", "Remedy"),
     "labkit.findings": ("Finding",),
+    "labkit.session.draft_plan": ("Draft",),
+    "labkit.target_file": ("Rendering",),
+    "labkit.calibration.tone_wedge": ("Tone",),
+    "labkit.edges.outcome": ("EdgesOutcome", "MeasuredEdge", "RejectedEdge"),
+    "labkit.restoration.restore": ("Restoration",),
+    "labkit.demo": ("Comparison",),
     "labkit.key": ("Key",),
     "labkit.session.frame": ("Frame",),
     "labkit.target": ("Target", "CellTarget", "TargetSpec", "read_spec"),
@@ -47,6 +53,10 @@ DEVICES = {
     "labkit.devices.protocols": (),
     "labkit.devices.context": ("DeviceContext", "Devices"),
     "labkit.devices.operator": ("Operator",),
+    "labkit.devices.inventory": ("Connected",),
+    "labkit.devices.rail_calibration": ("RailZero",),
+    "labkit.acquisition.camera_check": ("FrameReport",),
+    "labkit.acquisition.focusing": ("FocusReading",),
 }
 
 
