@@ -14,7 +14,7 @@ import numpy as np
 
 from labkit.acquisition.capture import run_plan
 from labkit.analysis.fit import fit
-from labkit.demo import PLAN
+from labkit.demo import DEMO_PLAN
 from labkit.devices.context import DeviceContext
 from labkit.devices.registry import open_devices
 from labkit.drivers.simulated.world import Truth
@@ -36,7 +36,7 @@ class Case:
 
     def plan(self) -> str:
         """The demo's plan with this case's numbers."""
-        text = PLAN.format(address=f"simulated:seed={self.seed}")
+        text = DEMO_PLAN.format(address=f"simulated:seed={self.seed}")
         changes = {
             "focal_length_mm": self.focal_mm,
             "f_number": self.f_number,

@@ -15,6 +15,7 @@ from labkit.estimation.settings import SETTINGS
 from labkit.estimation.small_problem import PhaseRetrieval
 from labkit.experiments.conditions import NOLL, carpet, draw_trial, optics, random_waves
 from labkit.experiments.search import NOLL_22, SAME_END, STARTS
+from labkit.optics.strehl import TILTS
 
 SNR = 75.0
 CASES = ((NOLL, 0.25, 4), (NOLL, 0.5, 6), (NOLL_22, 0.35, 6), (NOLL_22, 0.5, 10))
@@ -30,7 +31,7 @@ def left(small: PhaseRetrieval, waves_rms: float) -> float:
     rng, shares = np.random.default_rng(5), []
     for _ in range(PSFS):
         waves = np.append(
-            np.zeros(len(small_problem.TILTS)),
+            np.zeros(len(TILTS)),
             random_waves(rng, len(small.optics.noll), waves_rms),
         )
         departure = (small.pupil.psf(waves) - perfect).ravel()

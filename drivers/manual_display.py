@@ -12,7 +12,7 @@ from labkit.plan import Plan
 from labkit.target import open_target
 
 SHEET = "Put a white sheet in place of the target, flat, large enough to fill the frame, under the same light"
-TARGET = "Put the target before the camera, flat, wholly in the frame"
+TARGET_REQUEST = "Put the target before the camera, flat, wholly in the frame"
 
 
 def open_display(address: str, plan: Plan, context: DeviceContext) -> ManualDisplay:
@@ -54,7 +54,7 @@ class ManualDisplay(ClosesItself):
         errors of `ask`.
         """
         if not isinstance(picture, str) or picture == "white":
-            wanted = SHEET if isinstance(picture, str) else TARGET
+            wanted = SHEET if isinstance(picture, str) else TARGET_REQUEST
             if wanted != self._there:
                 self._there = None
                 self._ask(wanted)

@@ -9,11 +9,11 @@ from labkit.devices.protocols import ClosesItself, Travel
 from labkit.errors import PlanError, RailError, RailLimitError
 from labkit.plan import Plan
 
-TRIES = 3
+READING_TRIES = 3
 NEAR_MM = 2.0
 """A reading farther than this from the position ordered is a slip of the hand, or of the keyboard."""
 
-TAPE_MM = 10.0
+MOST_TAPE_ERROR_MM = 10.0
 """A range measured by hand errs by less."""
 
 SCALE = Travel(-1e6, 1e6)
@@ -67,7 +67,7 @@ class ManualRail(ClosesItself):
             f"and type what its scale says in mm"
         )
         question = request
-        for _ in range(TRIES):
+        for _ in range(READING_TRIES):
             answer = (
                 self._ask(question).strip().removesuffix("mm").strip().replace(",", ".")
             )
@@ -87,7 +87,7 @@ class ManualRail(ClosesItself):
         """Describe the fault of a reading."""
         if self._range_mm is not None:
             range_mm = self._range_mm(position_mm)
-            if abs(at_mm - range_mm) <= TAPE_MM:
+            if abs(at_mm - range_mm) <= MOST_TAPE_ERROR_MM:
                 return f"{at_mm:g} mm is the range to the target, no reading of the rail's scale"
         return f"{at_mm:g} mm is more than {NEAR_MM:g} mm away"
 

@@ -54,13 +54,15 @@ BACKSTOP_S = 1800
 MOST_ANSWER_BYTES = 2**32
 
 LENGTH = struct.Struct("<Q")
-NUMBERS = re.compile(r"[<>|][biuf]\d")
+NUMBER_TYPES = re.compile(r"[<>|][biuf]\d")
 """What arrays hold, and nothing that is an address."""
 
-ERRORS: dict[str, type[InputError]] = {one.__name__: one for one in (InputError, RawError)}
+SHARED_ERRORS: dict[str, type[InputError]] = {
+    one.__name__: one for one in (InputError, RawError)
+}
 DAMAGED = "is truncated or damaged"
 
-BEGIN = (
+WORKER_CODE = (
     "import sys; sys.path[:] = {path!r}; from labkit.apart import serve; serve({memory})"
 )
 
@@ -95,7 +97,7 @@ class _Process:
 
     def __init__(self) -> None:
         self._memory = _memory()
-        begin = BEGIN.format(path=sys.path, memory=self._memory.fileno())
+        begin = WORKER_CODE.format(path=sys.path, memory=self._memory.fileno())
         one_thread = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         self._process = subprocess.Popen(
             [sys.executable, "-c", begin],
@@ -121,7 +123,7 @@ class _Process:
         answer = json.loads(bytes(self._received(length, deadline)))
         arrays, at = {}, 0
         for name, dtype, shape in answer.pop("arrays", ()):
-            if not NUMBERS.fullmatch(dtype):
+            if not NUMBER_TYPES.fullmatch(dtype):
                 raise EOFError
             size = np.dtype(dtype).itemsize * prod(shape)
             arrays[name] = self._read(size, at).view(dtype).reshape(shape)
@@ -214,7 +216,7 @@ def _raise(answer: dict[str, Any]) -> NoReturn:
     name, text = str(answer["failed"]), str(answer["text"])
     if name == OSError.__name__:
         raise OSError(int(answer["errno"]), text)
-    raise ERRORS.get(name, InputError)(text)
+    raise SHARED_ERRORS.get(name, InputError)(text)
 
 
 @atexit.register

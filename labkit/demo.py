@@ -24,7 +24,7 @@ from labkit.session.session import Session
 from labkit.types import no_progress
 from labkit.uncertain import decimals
 
-PLAN = """\
+DEMO_PLAN = """\
 # A 70 mm f/2.8 lens at three ranges, three colours, on simulated devices.
 # For your own bench change the numbers and the three addresses; `labkit devices` says what is connected.
 
@@ -193,7 +193,7 @@ def run_demo(
     """
     folder = Path(folder)
     refuse_existing(folder)
-    text = PLAN.format(address=f"simulated:seed={seed}")
+    text = DEMO_PLAN.format(address=f"simulated:seed={seed}")
     context = DeviceContext()
     with (
         open_devices(Plan.parse(text, Path()), context=context) as devices,

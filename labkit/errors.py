@@ -22,7 +22,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-LONGEST = 60
+LONGEST_VALUE = 60
 """Characters of a value that a message repeats."""
 
 
@@ -118,4 +118,4 @@ def printable(text: str) -> str:
 def shown(value: object) -> str:
     """Return a value as a message repeats it: as Python writes it, shortened."""
     text = repr(value)
-    return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
+    return text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 3]}..."

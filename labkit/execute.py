@@ -46,7 +46,7 @@ KEPT_BYTES = 1 << 30
 """Arrays up to this size are kept; larger ones go back to the system."""
 
 KILLED = "the process at work on it was killed, by the system for lack of memory as a rule"
-SHORT = "there is not enough memory"
+NO_MEMORY = "there is not enough memory"
 
 SHARED_KEPT = 8
 """Shared values that a process keeps: targets, and the photographs that it is at work on."""
@@ -218,7 +218,7 @@ class Workers:
             try:
                 result = future.result()
             except MemoryError:
-                failed[index] = SHORT
+                failed[index] = NO_MEMORY
             except BrokenProcessPool:
                 if _begun(stored[index]).exists():
                     failed[index] = KILLED
@@ -323,7 +323,7 @@ def _here(
             with _saying(heard), looked_up_by(lookup):
                 result = function(task)
         except MemoryError:
-            lost[index] = SHORT
+            lost[index] = NO_MEMORY
         else:
             yield index, result
 

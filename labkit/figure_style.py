@@ -16,7 +16,7 @@ from labkit.types import Floats
 WIDTH_IN = 9.0  # of the page; panels stand side by side on a desktop and on paper, one above the other on a telephone
 HALF_IN, THIRD_IN = WIDTH_IN / 2, WIDTH_IN / 3
 DPI = 200
-INK, SOFT, FAINT = "#1c1e21", "#6b7075", "#d5d8db"
+INK, SOFT_INK, FAINT = "#1c1e21", "#6b7075", "#d5d8db"
 SOLID, DASHED, DOTTED = "-", (0, (4, 2)), (0, (1, 1.5))
 LINE_OF: dict[str, Any] = {"x": SOLID, "y": DASHED}  # of a direction on the sensor
 
@@ -28,7 +28,7 @@ STYLE: dict[str, Any] = {
     "axes.titlelocation": "left",
     "axes.labelsize": 8.5,
     "axes.labelcolor": INK,
-    "axes.edgecolor": SOFT,
+    "axes.edgecolor": SOFT_INK,
     "axes.linewidth": 0.6,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -36,8 +36,8 @@ STYLE: dict[str, Any] = {
     "axes.grid": True,
     "grid.color": FAINT,
     "grid.linewidth": 0.5,
-    "xtick.color": SOFT,
-    "ytick.color": SOFT,
+    "xtick.color": SOFT_INK,
+    "ytick.color": SOFT_INK,
     "xtick.labelcolor": INK,
     "ytick.labelcolor": INK,
     "xtick.major.width": 0.6,
@@ -73,7 +73,11 @@ class Ink:
 POINT: dict[str, Any] = {"ms": 5.5, "mec": "white", "mew": 0.6}  # of a channel's marker
 
 # Okabe and Ito's colours, which colour-blind readers can tell apart
-NAMED = {"R": Ink("#d55e00", "o"), "G": Ink("#009e73", "s"), "B": Ink("#0072b2", "^")}
+CHANNEL_INKS = {
+    "R": Ink("#d55e00", "o"),
+    "G": Ink("#009e73", "s"),
+    "B": Ink("#0072b2", "^"),
+}
 OTHERS = (
     Ink("#444a50", "D"),
     Ink("#cc79a7", "v"),
@@ -84,8 +88,8 @@ OTHERS = (
 
 def channel_inks(channels: Iterable[str]) -> dict[str, Ink]:
     """The same colour and marker for the same channel in every figure."""
-    others = [c for c in channels if c not in NAMED]
-    return NAMED | {c: OTHERS[k % len(OTHERS)] for k, c in enumerate(others)}
+    others = [c for c in channels if c not in CHANNEL_INKS]
+    return CHANNEL_INKS | {c: OTHERS[k % len(OTHERS)] for k, c in enumerate(others)}
 
 
 def styled() -> AbstractContextManager[None]:

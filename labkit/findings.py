@@ -253,7 +253,7 @@ TEXTS = {
 }
 """The sentence of each code. `where` is the key's label; other names are numbers, or words made of them."""
 
-NO_ANSWER = ("fit-left-out", "no-best-focus", "channel-without-best-focus")
+UNANSWERED_CODES = ("fit-left-out", "no-best-focus", "channel-without-best-focus")
 """Codes that say what was to be estimated and could not be."""
 
 
@@ -487,7 +487,8 @@ def model_incomplete_everywhere(chi2_per_pixel: Mapping[str, float], fits: int) 
 def unanswered(findings: Collection[Finding]) -> str | None:
     """Name the requested quantities that could not be estimated; None if all were."""
     return (
-        "; ".join(finding.text for finding in findings if finding.code in NO_ANSWER) or None
+        "; ".join(finding.text for finding in findings if finding.code in UNANSWERED_CODES)
+        or None
     )
 
 

@@ -45,7 +45,7 @@ class ModeGroup:
         return self.title
 
 
-GROUPS: dict[str, ModeGroup] = {
+MODE_GROUPS: dict[str, ModeGroup] = {
     group.name: group
     for group in (
         ModeGroup(16, 21),

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from typing import Any
 
 LARGE, SMALL = 1e7, 1e-4  # from here on, and below, a power of ten is taken out
-DIGITS = 6  # of a number that has no error to say how many
+DIGITS_WITHOUT_ERROR = 6  # of a number that has no error to say how many
 SIGN_OPEN = "sign open"
 
 
-def decimals(std: float, most: int = DIGITS) -> int:
+def decimals(std: float, most: int = DIGITS_WITHOUT_ERROR) -> int:
     """Return the decimal places that give a standard error two significant digits; 4 without an error."""
     if not (math.isfinite(std) and std > 0):
         return 4
@@ -123,7 +123,7 @@ class Uncertain:
         sign = "±" if self.sign_open else ""
         value = abs(value) if self.sign_open else value
         if not known:
-            return f"{sign}{value:.{DIGITS}g} ± {_error(std, 'g')}", exponent
+            return f"{sign}{value:.{DIGITS_WITHOUT_ERROR}g} ± {_error(std, 'g')}", exponent
         places = decimals(std, most=15)
         rounded = round(value, places) + 0.0  # no minus zero
         return f"{sign}{rounded:.{places}f} ± {std:.{places}f}", exponent

@@ -17,7 +17,7 @@ from labkit.types import Floats
 if TYPE_CHECKING:
     from labkit.plan import TargetSpec
 
-NODES = 12
+NODES_ACROSS_DISK = 12
 """Gauss-Legendre nodes to a panel of the integral over a disk's height."""
 
 
@@ -129,7 +129,7 @@ def open_target(spec: TargetSpec) -> Disks:
 
 def _gauss(panels: int) -> tuple[Floats, Floats]:
     """Return nodes and weights from -pi/2 to pi/2."""
-    node, weight = np.polynomial.legendre.leggauss(NODES)
+    node, weight = np.polynomial.legendre.leggauss(NODES_ACROSS_DISK)
     width = math.pi / panels
     middles = -math.pi / 2 + (np.arange(panels) + 0.5) * width
     return (middles[:, None] + node * width / 2).ravel(), np.tile(

@@ -15,7 +15,7 @@ from labkit.types import Floats
 if TYPE_CHECKING:
     from labkit.plan import TargetSpec
 
-MOST_PIXELS = 2**26
+MOST_TARGET_PIXELS = 2**26
 """67 million, half a gigabyte of radiances: a carpet of the highest order has 43 million cells."""
 
 
@@ -41,7 +41,7 @@ def read_radiance(path: Path) -> Floats:
     equal numbers everywhere is grey. Raises TargetError.
     """
     try:
-        picture = read_picture(path, MOST_PIXELS)
+        picture = read_picture(path, MOST_TARGET_PIXELS)
     except OSError as error:
         raise TargetError(f"target picture {path}: {error.strerror}") from error
     except InputError as error:

@@ -13,7 +13,7 @@ from labkit.types import Floats
 if TYPE_CHECKING:
     from labkit.plan import TargetSpec
 
-MAX_ORDER = 8
+MOST_CARPET_ORDER = 8
 
 
 def carpet_cells(order: int) -> Floats:
@@ -27,9 +27,9 @@ def carpet_cells(order: int) -> Floats:
 
 def open_target(spec: TargetSpec) -> CellTarget:
     """Return a carpet of ``spec.order``, ``spec.size_mm`` a side. Raises TargetError for an order outside 1..8."""
-    if spec.order is None or not 1 <= spec.order <= MAX_ORDER:
+    if spec.order is None or not 1 <= spec.order <= MOST_CARPET_ORDER:
         raise TargetError(
-            f"[target] order = {spec.order}: a Sierpinski carpet has an order of 1 to {MAX_ORDER}"
+            f"[target] order = {spec.order}: a Sierpinski carpet has an order of 1 to {MOST_CARPET_ORDER}"
         )
     return CellTarget(
         carpet_cells(spec.order), (spec.size_mm, spec.size_mm), SURROUNDS[spec.surround]

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from labkit.plan import TargetSpec
 
 MAX_ANGLE_DEG = 45.0
-NODES = 12
+NODES_ALONG_EDGE = 12
 """Gauss-Legendre nodes to a panel of the integral over y."""
 
 
@@ -111,7 +111,7 @@ def open_target(spec: TargetSpec) -> SlantedEdge:
 def _gauss(half_mm: float, bandwidth_per_mm: float) -> tuple[Floats, Floats]:
     """Return nodes and weights in mm from -half_mm to half_mm, in panels of at most 1 / bandwidth."""
     panels = max(1, math.ceil(2 * half_mm * bandwidth_per_mm))
-    node, weight = np.polynomial.legendre.leggauss(NODES)
+    node, weight = np.polynomial.legendre.leggauss(NODES_ALONG_EDGE)
     width = 2 * half_mm / panels
     middles = -half_mm + (np.arange(panels) + 0.5) * width
     return (middles[:, None] + node * width / 2).ravel(), np.tile(

@@ -13,7 +13,7 @@ from labkit.types import Floats
 if TYPE_CHECKING:
     from labkit.plan import TargetSpec
 
-MAX_ORDER = 8
+MOST_OCTAVES = 8
 FIELD = 12
 """Side of a triple's field in cells of half a bar: bars of 2 x 10 with 2 between them, 1 of black around."""
 
@@ -41,9 +41,9 @@ def open_target(spec: TargetSpec) -> CellTarget:
     The widest bars are 1/12 of the side wide, bars of octave k 1/12 over 2**(k - 1). Raises
     TargetError for an order outside 1..8.
     """
-    if spec.order is None or not 1 <= spec.order <= MAX_ORDER:
+    if spec.order is None or not 1 <= spec.order <= MOST_OCTAVES:
         raise TargetError(
-            f"[target] order = {spec.order}: a tri-bar target has an order of 1 to {MAX_ORDER} octaves"
+            f"[target] order = {spec.order}: a tri-bar target has an order of 1 to {MOST_OCTAVES} octaves"
         )
     return CellTarget(
         tribar_cells(spec.order), (spec.size_mm, spec.size_mm), SURROUNDS[spec.surround]

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 WHITE_CELLS = (0, 1, 2, 4, 6, 9, 12, 16, 20, 25, 30, 36, 42, 49, 56, 64)
 """Of the 64 cells of a step's tile: squares, so that the numbers a camera writes are about evenly spaced."""
 
-STEPS = (
+STEP_PLACES = (
     (9, 3, 10, 2, 11, 8, 15, 13),
     (5, 1, 4, 14, 7, 12, 6, 0),
     (0, 4, 8, 3, 14, 5, 13, 2),
@@ -28,7 +28,7 @@ STEPS = (
 )
 """Where each step stands, twice: of 20,000 random orders that which separates uneven light best from the steps."""
 
-TILES = 8
+TILES_ALONG_STEP = 8
 """Along a step's side."""
 
 
@@ -46,10 +46,10 @@ def thresholds() -> Floats:
 
 def wedge_cells() -> Floats:
     """Return (256, 512) radiances, 0 or 1: 4 × 8 steps of 64 × 64 cells each."""
-    white = np.array(WHITE_CELLS)[np.array(STEPS)]
+    white = np.array(WHITE_CELLS)[np.array(STEP_PLACES)]
     rows, cols = white.shape
-    side = len(thresholds()) * TILES
-    tiled = np.tile(thresholds(), (rows * TILES, cols * TILES))
+    side = len(thresholds()) * TILES_ALONG_STEP
+    tiled = np.tile(thresholds(), (rows * TILES_ALONG_STEP, cols * TILES_ALONG_STEP))
     return np.asarray(tiled < white.repeat(side, 0).repeat(side, 1), dtype=np.float64)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.signal import fftconvolve
 
-from labkit.figure_style import SOFT, png, styled
+from labkit.figure_style import SOFT_INK, png, styled
 from labkit.optics.lens import ThinLens, defocus_waves
 from labkit.optics.metrics import opd_map, psf_value
 from labkit.optics.wavefront import FittedWavefront
@@ -70,13 +70,13 @@ def defocus_against_range() -> Figure:
     waves = np.asarray(defocus_waves(lens, ranges, focus_mm, 450.0))
     figure = Figure(figsize=(6.5, 2.8), layout="constrained")
     axes = figure.subplots()
-    axes.plot(at, defocus_waves(lens, at, focus_mm, 450.0), color=SOFT)
-    axes.axhline(0, color=SOFT, linewidth=0.6)
+    axes.plot(at, defocus_waves(lens, at, focus_mm, 450.0), color=SOFT_INK)
+    axes.axhline(0, color=SOFT_INK, linewidth=0.6)
     axes.plot(ranges, waves, "o", color="#1f5fa8", label="as measured, signs by the law")
     axes.plot(
         ranges, -waves, "o", color="#1f5fa8", markerfacecolor="white", label="their twins"
     )
-    axes.axvline(focus_mm, color=SOFT, linestyle=":")
+    axes.axvline(focus_mm, color=SOFT_INK, linestyle=":")
     axes.annotate("best focus", (focus_mm, -1.2), xytext=(6, 0), textcoords="offset points")
     axes.set_xlabel("range / mm")
     axes.set_ylabel("defocus / waves RMS")

@@ -14,7 +14,7 @@ from docs.generators.markdown import code, directive, table
 from labkit.panel.panels import PANELS
 from labkit.plan import Plan
 from labkit.plan.fields import what_it_takes
-from labkit.plan.tables import NEEDED
+from labkit.plan.tables import NEEDED_BY_KIND
 
 UNITS = {"mm": "mm", "um": "µm", "nm": "nm", "px": "pixels", "s": "s", "deg": "degrees"}
 """What the last part of a key stands for."""
@@ -114,7 +114,7 @@ def _default(dotted: str, field: FieldInfo) -> str:
         return "none, it is required"
     kinds = [
         kind
-        for kind, needed in NEEDED.items()
+        for kind, needed in NEEDED_BY_KIND.items()
         if dotted in [f"target.{key}" for key in needed]
     ]
     if kinds:

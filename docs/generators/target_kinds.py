@@ -7,7 +7,7 @@ from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 
 from docs.generators.markdown import code
-from labkit.plan.tables import NEEDED
+from labkit.plan.tables import NEEDED_BY_KIND
 from labkit.target import open_target
 
 EXAMPLES = {
@@ -32,7 +32,7 @@ def _section(entry: EntryPoint) -> Iterator[str]:
     yield f"## {code(entry.name)}\n"
     yield f"{(module.__doc__ or '').strip()}\n"
     yield f"{(factory.__doc__ or '').strip().replace('``', '`').replace('spec.', 'target.')}\n"
-    needed = ("kind", "size_mm", *NEEDED.get(entry.name, ()))
+    needed = ("kind", "size_mm", *NEEDED_BY_KIND.get(entry.name, ()))
     yield f"Needs {', '.join(f'{{confval}}`target.{key}`' for key in needed)}.\n"
     if spec := EXAMPLES.get(entry.name):
         height, width = open_target(spec).size_mm

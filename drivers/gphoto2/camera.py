@@ -34,18 +34,18 @@ from labkit.drivers.gphoto2.link import (
     CLAIM,
     DIED,
     FULL,
-    GONE,
     HUNG,
     IO,
     NO_CAMERA,
     TIMEOUT,
+    UNPLUGGED,
     UNSUPPORTED,
     Link,
     Trouble,
 )
 from labkit.drivers.gphoto2.settings import (
-    ISO,
-    SHUTTER,
+    ISOS,
+    SHUTTERS,
     Wanted,
     number_of,
     percent_of,
@@ -62,11 +62,11 @@ NO_LIBUSB = "libusb is missing (Debian: apt-get install libusb-1.0-0)"
 ON_NETWORK = "PTP/IP Camera"
 """What libgphoto2 calls any camera on a network: it does not look for them."""
 
-NO_ANSWER = "it does not answer over the network: look at battery and screen, compare the address with its network menu"
+NETWORK_SILENT = "it does not answer over the network: look at battery and screen, compare the address with its network menu"
 
 ADVICE = {
     IO: "it does not answer over USB: look at cable and battery, switch it off and on",
-    GONE: "it is not on USB any more: look at cable and battery",
+    UNPLUGGED: "it is not on USB any more: look at cable and battery",
     NO_CAMERA: "it is not on USB: plug it in, switch it on, its automatic power-off off",
     CLAIM: "another program holds it, often the desktop's file manager: close that, or run gio mount -s gphoto2",
     BUSY: "it stays busy: look at what its screen says",
@@ -74,7 +74,7 @@ ADVICE = {
     FULL: "its memory or card is full: empty it",
 }
 
-PAUSES_S = (0.5, 2.0, 5.0)
+TRY_PAUSES_S = (0.5, 2.0, 5.0)
 """Waited before each new try; with them an operation is tried four times."""
 
 ASK_S, OPEN_S, CLOSE_S = 10.0, 30.0, 10.0
@@ -149,10 +149,9 @@ def _has_libusb() -> bool:
 class Gphoto2Camera(ClosesItself):
     """A Camera, Adjustable, Checkable, SelfRecovering and Previewing.
 
-    port: "usb:001,004", "ptpip:192.168.1.5", or "" for the only camera on USB; f_number: to
-    set if the body allows; keep: photographs go to the card and stay there; wait: function
-    that waits, in seconds; link: to libgphoto2; release_s: longest time from the end of an
-    exposure to its file.
+    port: "usb:001,004", "ptpip:192.168.1.5", or "" for the only camera on USB; f_number: to set if the body allows;
+    keep: photographs go to the card and stay there; wait: function that waits, in seconds; link: to libgphoto2;
+    release_s: longest time from the end of an exposure to its file.
     """
 
     def __init__(
@@ -253,7 +252,7 @@ class Gphoto2Camera(ClosesItself):
         self, what: str, action: Callable[[], Result], folder: Path | None = None
     ) -> Result:
         """Use the open camera; on trouble recover and try again, a bounded number of times."""
-        pauses = iter((*PAUSES_S, None))
+        pauses = iter((*TRY_PAUSES_S, None))
         for attempt, pause_s in enumerate(pauses, 1):
             try:
                 self._open()
@@ -279,7 +278,10 @@ class Gphoto2Camera(ClosesItself):
             if (
                 self._seen_at
                 and not self._on_network
-                and (code in (HUNG, DIED) or (attempt > 1 and code in (IO, GONE, TIMEOUT)))
+                and (
+                    code in (HUNG, DIED)
+                    or (attempt > 1 and code in (IO, UNPLUGGED, TIMEOUT))
+                )
             ):
                 self._link.ask("reset", ASK_S, port=self._seen_at)
         except Trouble:
@@ -445,11 +447,12 @@ class Gphoto2Camera(ClosesItself):
         """Return shutter time and ISO of the next photograph: as set, or as the body reports, or as ordered."""
         values = {name: setting.value for name, setting in self._body.items()} | dict(now)
         seconds = next(
-            (s for name in SHUTTER if name in values and (s := seconds_of(values[name]))),
+            (s for name in SHUTTERS if name in values and (s := seconds_of(values[name]))),
             None,
         )
         iso = next(
-            (n for name in ISO if name in values and (n := number_of(values[name]))), None
+            (n for name in ISOS if name in values and (n := number_of(values[name]))),
+            None,
         )
         if self._exposure is not None:
             seconds = self._wanted.exposure_s if self._wanted else self._exposure.exposure_s
@@ -462,8 +465,8 @@ def _error(
 ) -> CameraError | DeviceTimeoutError:
     """Return the error of a trouble, with a line for people."""
     text = str(trouble)
-    if on_network and trouble.code in (IO, TIMEOUT, HUNG, GONE):
-        text = f"{NO_ANSWER} (libgphoto2: {text})"
+    if on_network and trouble.code in (IO, TIMEOUT, HUNG, UNPLUGGED):
+        text = f"{NETWORK_SILENT} (libgphoto2: {text})"
     elif trouble.code in ADVICE:
         text = f"{ADVICE[trouble.code]} (libgphoto2: {text})"
     elif trouble.code in (HUNG, DIED):

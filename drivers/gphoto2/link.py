@@ -14,9 +14,9 @@ from typing import Any
 
 from labkit.errors import CameraError
 
-COMMAND = (sys.executable, "-m", "labkit.drivers.gphoto2.worker")
+WORKER_COMMAND = (sys.executable, "-m", "labkit.drivers.gphoto2.worker")
 
-FULL, UNSUPPORTED, IO, TIMEOUT, GONE, CLAIM, NO_CAMERA, BUSY = (
+FULL, UNSUPPORTED, IO, TIMEOUT, UNPLUGGED, CLAIM, NO_CAMERA, BUSY = (
     -3,
     -6,
     -7,
@@ -46,7 +46,7 @@ class Trouble(CameraError):  # noqa: N818
 class Link:
     """Sends one request at a time. After HUNG or DIED the next request starts a new process."""
 
-    def __init__(self, command: Sequence[str] = COMMAND) -> None:
+    def __init__(self, command: Sequence[str] = WORKER_COMMAND) -> None:
         self._command = tuple(command)
         self._process: subprocess.Popen[bytes] | None = None
         self._channel: Connection | None = None

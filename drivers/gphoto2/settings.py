@@ -17,14 +17,14 @@ from labkit.errors import CameraError
 Body = Mapping[str, Setting]
 Choice = str | int | float
 
-SHUTTER, ISO, APERTURE = (
+SHUTTERS, ISOS, APERTURES = (
     ("shutterspeed2", "shutterspeed"),
     ("iso",),
     ("f-number", "aperture"),
 )
-FORMAT, TARGET = ("imagequality", "imageformat"), ("capturetarget",)
+FORMAT_NAMES, STORAGE_NAMES = ("imagequality", "imageformat"), ("capturetarget",)
 
-TOLERANCE = 0.02
+SAME_CHOICE = 0.02
 """A choice this near to what was asked is it: bodies round 1/60 s to 0.0167."""
 
 BULB = re.compile(r"bulb", re.IGNORECASE)
@@ -112,8 +112,8 @@ def wanted(
     image = _format(body, problems, by_hand)
     picked = [
         shutter,
-        _number(body, ISO, "ISO ", float(exposure.iso), problems, by_hand),
-        f_number and _number(body, APERTURE, "aperture f/", f_number, problems, by_hand),
+        _number(body, ISOS, "ISO ", float(exposure.iso), problems, by_hand),
+        f_number and _number(body, APERTURES, "aperture f/", f_number, problems, by_hand),
         image,
         _target(body, target),
     ]
@@ -205,7 +205,7 @@ def _shutter(
 ) -> tuple[str, Choice] | None:
     times: dict[float, tuple[str, Choice]] = {}
     bulb: tuple[str, Choice] | None = None
-    for setting in _first(body, SHUTTER):
+    for setting in _first(body, SHUTTERS):
         for choice in setting.choices:
             seconds = seconds_of(choice)
             if (
@@ -241,7 +241,7 @@ def _number(
 ) -> tuple[str, Choice] | None:
     for setting in _first(body, names):
         now = number_of(setting.value)
-        if setting.readonly and now and abs(now / asked - 1) <= TOLERANCE:
+        if setting.readonly and now and abs(now / asked - 1) <= SAME_CHOICE:
             return None
         offered = {
             number: (setting.name, choice)
@@ -263,7 +263,7 @@ def _nearest(
 ) -> tuple[str, Choice] | None:
     near = min(offered, key=lambda value: abs(value / asked - 1), default=None)
     return (
-        offered[near] if near is not None and abs(near / asked - 1) <= TOLERANCE else None
+        offered[near] if near is not None and abs(near / asked - 1) <= SAME_CHOICE else None
     )
 
 
@@ -298,7 +298,7 @@ def _format(
     body: Body, problems: list[str], by_hand: list[str]
 ) -> tuple[str, Choice] | None:
     """Return the choice of raw alone if there is one, else of raw with JPEG."""
-    for setting in _first(body, FORMAT):
+    for setting in _first(body, FORMAT_NAMES):
         if not setting.choices:
             continue
         raw = [choice for choice in setting.choices if RAW.search(str(choice))]
@@ -320,7 +320,7 @@ def _format(
 
 
 def _target(body: Body, target: Literal["ram", "card"]) -> tuple[str, Choice] | None:
-    for setting in _first(body, TARGET):
+    for setting in _first(body, STORAGE_NAMES):
         for choice in setting.choices:
             if re.search(
                 r"^(?!.*card).*ram" if target == "ram" else r"^(memory )?card",

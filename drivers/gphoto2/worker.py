@@ -22,16 +22,16 @@ from typing import Any
 
 REFUSED, IN_PROGRESS = -1, -110
 
-PAUSES_S = (0.1, 0.3, 1.0, 3.0)
+BUSY_PAUSES_S = (0.1, 0.3, 1.0, 3.0)
 """How long to look at events before a call that met "I/O in progress" is made again."""
 
 GRACE_S = 10
 """Whoever asked stops waiting first, and says so; only if it is gone does the alarm ring."""
 
-POLL_S = 0.01
+EVENT_POLL_S = 0.01
 """The library returns at once when no event is queued, whatever time it was given."""
 
-QUIET_S = 0.25
+FILES_QUIET_S = 0.25
 """Where the number of files is not known, an exposure is over when none has come for this long after the raw one."""
 
 DRAIN_S = 2.0
@@ -40,7 +40,8 @@ DRAIN_S = 2.0
 SETTLE_S = 1.0
 """A body may show a setting's new value a moment later."""
 
-JPEG, HEIF = b"\xff\xd8", b"ftyphei"
+JPEG_START = b"\xff\xd8"
+HEIF_START = b"ftyphei"
 
 
 class StoppedError(Exception):
@@ -51,7 +52,7 @@ class Worker:
     """The requests, each a method whose arguments and result JSON can hold. gp: the gphoto2 package."""
 
     def __init__(
-        self, channel: Connection, gp: Any, pauses_s: Sequence[float] = PAUSES_S
+        self, channel: Connection, gp: Any, pauses_s: Sequence[float] = BUSY_PAUSES_S
     ) -> None:
         self._channel = channel
         self._gp = gp
@@ -235,7 +236,7 @@ class Worker:
             if self._channel.poll():
                 raise StoppedError
             if not self._event(min(left, 0.1)):
-                time.sleep(min(left, POLL_S))
+                time.sleep(min(left, EVENT_POLL_S))
 
     def _drain(self, keep: bool) -> int:
         """Take old files away: a file of an abandoned exposure must not pass for the next."""
@@ -281,14 +282,16 @@ class Worker:
         end = last = time.monotonic()
         end += wait_s
         while time.monotonic() < end:
-            self._look(POLL_S)
+            self._look(EVENT_POLL_S)
             while self._added:
                 found.append(
                     self._fetch(self._added.popleft(), folder / str(len(found)), keep)
                 )
                 last = time.monotonic()
             enough = (
-                time.monotonic() - last > QUIET_S if files is None else len(found) >= files
+                time.monotonic() - last > FILES_QUIET_S
+                if files is None
+                else len(found) >= files
             )
             if enough and any(file["raw"] for file in found):
                 break
@@ -302,7 +305,7 @@ class Worker:
         head = bytes(content[:16])
         path.write_bytes(content)
         self._forget(place, keep)
-        raw = not head.startswith(JPEG) and HEIF not in head
+        raw = not head.startswith(JPEG_START) and HEIF_START not in head
         return {"path": str(path), "name": place[1], "size": size, "raw": raw}
 
     def _forget(self, place: tuple[str, str], keep: bool) -> None:
@@ -315,7 +318,7 @@ class Worker:
                     raise
 
 
-def serve(channel: Connection, gp: Any, pauses_s: Sequence[float] = PAUSES_S) -> None:
+def serve(channel: Connection, gp: Any, pauses_s: Sequence[float] = BUSY_PAUSES_S) -> None:
     """Answer requests until the other end closes."""
     worker = Worker(channel, gp, pauses_s)
     while True:

@@ -12,11 +12,11 @@ BANNER = re.compile(r"grbl(?:hal)? (\d+\.\d+)", re.IGNORECASE)
 ALARM = re.compile(r"ALARM:(\d+)")
 ERROR = re.compile(r"error:(\d+)")
 SETTING = re.compile(r"\$(\d+)=(-?\d+(?:\.\d+)?)")
-NUMBER = r"-?\d+(?:\.\d+)?"
-REPORT = re.compile(
-    rf"<(?P<state>[A-Z][a-z]+(?::\d+)?)\|(?P<kind>[MW])Pos:(?P<x>{NUMBER})(?:,{NUMBER})*(?P<rest>(?:\|[^|<>]*)*)>"
+NUMBER_PATTERN = r"-?\d+(?:\.\d+)?"
+REPORT_PATTERN = re.compile(
+    rf"<(?P<state>[A-Z][a-z]+(?::\d+)?)\|(?P<kind>[MW])Pos:(?P<x>{NUMBER_PATTERN})(?:,{NUMBER_PATTERN})*(?P<rest>(?:\|[^|<>]*)*)>"
 )
-OFFSET = re.compile(rf"\|WCO:(?P<x>{NUMBER})(?:,|\||$)")
+OFFSET = re.compile(rf"\|WCO:(?P<x>{NUMBER_PATTERN})(?:,|\||$)")
 
 ALARMS = {
     1: "it ran onto a limit switch",
@@ -29,7 +29,7 @@ ALARMS = {
 }
 """Alarms of a rail, by GRBL's documentation."""
 
-ERRORS = {
+ERROR_WORDS = {
     3: "it does not know the command",
     5: "homing is off; turn it on with $22=1 and see its limit switch",
     8: "it was not idle",
@@ -42,11 +42,11 @@ ERRORS = {
 
 IDLE_DELAY, REPORTS, INCHES, SOFT_LIMITS, HARD_LIMITS = 1, 10, 13, 20, 21
 MAX_TRAVEL, MAX_RATE, ACCELERATION = 130, 110, 120
-HOMING, HOMING_DIRECTION, LOCATE_RATE, SEEK_RATE, PULL_OFF = 22, 23, 24, 25, 27
-NEEDED = (
+HOMING_SETTING, HOMING_DIRECTION, LOCATE_RATE, SEEK_RATE, PULL_OFF = 22, 23, 24, 25, 27
+NEEDED_SETTINGS = (
     REPORTS,
     INCHES,
-    HOMING,
+    HOMING_SETTING,
     HOMING_DIRECTION,
     LOCATE_RATE,
     SEEK_RATE,
@@ -85,7 +85,7 @@ class Report:
 
 def read_report(line: str) -> Report | None:
     """Return the report in a line such as <Idle|MPos:-250.000,0.000,0.000|FS:0,0>; None if absent or damaged."""
-    found = REPORT.fullmatch(line)
+    found = REPORT_PATTERN.fullmatch(line)
     if not found:
         return None
     offset = OFFSET.search(found["rest"])
@@ -102,7 +102,7 @@ def unfit(settings: Mapping[int, float], is_hal: bool) -> str | None:
     reports = int(settings[REPORTS])
     if settings[INCHES]:
         return "reports in inches ($13=1); set $13=0"
-    if not int(settings[HOMING]) & 1:
+    if not int(settings[HOMING_SETTING]) & 1:
         return "has homing turned off ($22=0), so its position cannot be known; set $22=1"
     if is_hal and not reports & (MACHINE_POSITION | HAL_OFFSET):
         return f"reports work positions without their offset ($10={reports}), so its position cannot be known; set $10=511"
@@ -134,7 +134,9 @@ def travel(settings: Mapping[int, float], is_hal: bool, options: str) -> Travel:
     the machine is homed.
     """
     whole_mm, margin_mm = settings[MAX_TRAVEL], settings[PULL_OFF]
-    at_home = int(settings[HOMING]) & HAL_ORIGIN_AT_HOME if is_hal else "Z" in options
+    at_home = (
+        int(settings[HOMING_SETTING]) & HAL_ORIGIN_AT_HOME if is_hal else "Z" in options
+    )
     if not at_home:
         return Travel(margin_mm - whole_mm, -margin_mm)
     if int(settings[HOMING_DIRECTION]) & 1:

@@ -17,21 +17,26 @@ from collections.abc import Callable, Sequence
 from labkit.devices.context import DeviceContext
 from labkit.devices.protocols import Check
 from labkit.drivers.grbl import protocol as grbl
-from labkit.drivers.serial.rail import TOLERANCE_MM, SerialRail, open_port, rail_settings
+from labkit.drivers.serial.rail import (
+    REST_TOLERANCE_MM,
+    SerialRail,
+    open_port,
+    rail_settings,
+)
 from labkit.errors import DeviceTimeoutError, RailError
 from labkit.plan import Plan
 
-QUIET_S = 0.1
+BANNER_QUIET_S = 0.1
 """After a banner, a controller that says nothing for so long has said all."""
 
-POLL_S = 0.1
+REPORT_POLL_S = 0.1
 
-RESET, HOLD, ASK = b"\x18", b"!", b"?"
+RESET_BYTE, HOLD_BYTE, ASK_BYTE = b"\x18", b"!", b"?"
 STOPPED = ("Hold", "Door", "Sleep")
 STANDING = ("Idle", "Hold:0", "Alarm", "Sleep")
 """States in which nothing moves; Hold:1 is still braking."""
 
-KEPT = ("Idle", "Hold:0")
+STEPS_KEPT = ("Idle", "Hold:0")
 """States in which a soft reset loses no steps."""
 
 
@@ -93,7 +98,7 @@ class GrblRail(SerialRail):
             return
         self._stopping = True
         try:
-            self._send(RESET if self._homing else HOLD)
+            self._send(RESET_BYTE if self._homing else HOLD_BYTE)
             with self._lock:
                 # to reset what still rolls loses steps, and Idle afterwards does not prove that it did not
                 self._homed = self._homed and not self._homing and self._has_braked()
@@ -120,7 +125,7 @@ class GrblRail(SerialRail):
             report = self._report(within_s, STANDING, in_hold=True)
         except RailError:
             return False
-        return report is not None and report.state in KEPT
+        return report is not None and report.state in STEPS_KEPT
 
     def _approach(self, position_mm: float) -> float:
         below_mm = position_mm - self._run_up_mm
@@ -131,7 +136,7 @@ class GrblRail(SerialRail):
         self._refuse_stopped()
         self._carry_out([*moves, "G4 P0.01"], 2 * allowed_s)
         at_mm = self._rest()
-        if abs(at_mm - position_mm) > TOLERANCE_MM:
+        if abs(at_mm - position_mm) > REST_TOLERANCE_MM:
             raise self._lost(
                 f"was sent to {position_mm:.3f} mm and stands at {at_mm:.3f} mm"
             )
@@ -144,7 +149,7 @@ class GrblRail(SerialRail):
         if not self._homed or self._under_way:
             raise RailError(f"{self} does not know where it is; home it first")
         at_mm = self._rest()
-        if abs(at_mm - self._at_mm) > TOLERANCE_MM:
+        if abs(at_mm - self._at_mm) > REST_TOLERANCE_MM:
             raise self._lost(
                 f"was left at {self._at_mm:.3f} mm and now reports {at_mm:.3f} mm"
             )
@@ -182,9 +187,9 @@ class GrblRail(SerialRail):
         banner comes instead.
         """
         for _ in range(2):
-            self._send(RESET)
+            self._send(RESET_BYTE)
             if self._await_banner(self._reply_s):
-                while self._line(time.monotonic() + QUIET_S) is not None:
+                while self._line(time.monotonic() + BANNER_QUIET_S) is not None:
                     pass
                 self._offset_mm = None
                 self._under_way = self._homing = False
@@ -214,7 +219,7 @@ class GrblRail(SerialRail):
         read = [found for line in lines if (found := grbl.SETTING.fullmatch(line))]
         self._settings = {int(found[1]): float(found[2]) for found in read}
         if missing := [
-            f"${number}" for number in grbl.NEEDED if number not in self._settings
+            f"${number}" for number in grbl.NEEDED_SETTINGS if number not in self._settings
         ]:
             raise RailError(
                 f"{self} did not report its settings {', '.join(missing)}; try again"
@@ -244,7 +249,9 @@ class GrblRail(SerialRail):
         deadline_s = heard_s + allowed_s + self._reply_s
         received: list[str] = []
         while (now_s := time.monotonic()) < deadline_s:
-            line = self._line(min(deadline_s, asked_s + POLL_S) if watch else deadline_s)
+            line = self._line(
+                min(deadline_s, asked_s + REPORT_POLL_S) if watch else deadline_s
+            )
             if line is not None:
                 if line.startswith("[GC:"):
                     self._under_way = False
@@ -253,9 +260,9 @@ class GrblRail(SerialRail):
                 heard_s = time.monotonic() if self._note(line) else heard_s
             if watch and now_s - heard_s > self._reply_s:
                 break
-            if watch and now_s - asked_s >= POLL_S:
+            if watch and now_s - asked_s >= REPORT_POLL_S:
                 asked_s = now_s
-                self._send(ASK)
+                self._send(ASK_BYTE)
         self._homed = False
         raise DeviceTimeoutError(
             f"{self} did not finish {commands[0]} in time; look whether it can move, then home it"
@@ -286,13 +293,13 @@ class GrblRail(SerialRail):
         """
         deadline_s = time.monotonic() + within_s
         while (now_s := time.monotonic()) < deadline_s:
-            self._send(ASK)
-            while (line := self._line(min(deadline_s, now_s + POLL_S))) is not None:
+            self._send(ASK_BYTE)
+            while (line := self._line(min(deadline_s, now_s + REPORT_POLL_S))) is not None:
                 report = self._note(line, in_hold)
                 if report and report.state in states:
                     return report
                 if report:
-                    time.sleep(POLL_S / 5)
+                    time.sleep(REPORT_POLL_S / 5)
                     break
         return None
 
@@ -305,7 +312,7 @@ class GrblRail(SerialRail):
                 f"raised alarm {found[1]}: {grbl.ALARMS.get(int(found[1]), 'see its manual')}"
             )
         if found := grbl.ERROR.search(line):
-            reason = grbl.ERRORS.get(int(found[1]), "see its manual")
+            reason = grbl.ERROR_WORDS.get(int(found[1]), "see its manual")
             self._homed = False
             raise RailError(f"{self} refused a command with error {found[1]}: {reason}")
         report = grbl.read_report(line)

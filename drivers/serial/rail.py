@@ -14,7 +14,7 @@ from labkit.drivers.serial.wire import SerialWire
 from labkit.errors import PlanError, RailError, RailLimitError
 from labkit.plan import Plan, RailSettings
 
-TOLERANCE_MM = 0.02
+REST_TOLERANCE_MM = 0.02
 """Rounding to steps moves a stop by less; a carriage farther away than this is not where it was sent."""
 
 

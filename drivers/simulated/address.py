@@ -11,13 +11,13 @@ from labkit.drivers.simulated.pupil import Pupil
 from labkit.drivers.simulated.world import FAULTS, Fault, TrueLens
 from labkit.errors import PlanError, shown
 
-SEED = re.compile(r"seed=([0-9]{1,9})")
+SEED_WORD = re.compile(r"seed=([0-9]{1,9})")
 FAULT = re.compile(
     r"(?P<device>[a-z]+)\.(?P<kind>[a-z_]+)=(?P<call>[1-9]\d{0,5})(?:x(?P<times>[1-9]\d{0,5}))?"
 )
-LENS = re.compile(r"lens\.([a-z_]+[0-9]*)=(.+)")
-NOLL = re.compile(r"noll_([0-9]{1,3})")
-NUMBER = re.compile(r"-?\d{1,6}(?:\.\d{1,12})?")
+LENS_WORD = re.compile(r"lens\.([a-z_]+[0-9]*)=(.+)")
+NOLL_WORD = re.compile(r"noll_([0-9]{1,3})")
+ORDERED_NUMBER = re.compile(r"-?\d{1,6}(?:\.\d{1,12})?")
 
 PUPIL = {
     "blades": "blades",
@@ -27,7 +27,7 @@ PUPIL = {
 }
 """The pupil's numbers, by their names in an address."""
 
-ALLOWED = (
+ALLOWED_ORDERS = (
     "allowed is seed=N; a lens as in lens.blades=7, lens.blades_turn_deg=10, "
     "lens.blade_rounding=0.3, lens.obstruction=0.38, lens.cats_eye=0.3,1.1,45 (shift, radius, "
     "direction), lens.noll_22=0.01, lens.higher_rms=0.03; and faults as in camera.timeout=2 "
@@ -72,7 +72,7 @@ def ordered(address: str) -> Orders:
     for word in re.split(r",(?![-.\d])", words) if words else ():
         read = _read(word, orders)
         if read is None:
-            raise PlanError(f'address "{address}": {shown(word)}: {ALLOWED}')
+            raise PlanError(f'address "{address}": {shown(word)}: {ALLOWED_ORDERS}')
         orders = read
     try:
         orders.made(TrueLens())
@@ -83,9 +83,9 @@ def ordered(address: str) -> Orders:
 
 def _read(word: str, orders: Orders) -> Orders | None:
     """Return the orders with another word; None for an unknown word."""
-    if found := SEED.fullmatch(word):
+    if found := SEED_WORD.fullmatch(word):
         return replace(orders, seed=int(found[1]))
-    if found := LENS.fullmatch(word):
+    if found := LENS_WORD.fullmatch(word):
         return _with_lens(orders, found[1], found[2].split(","))
     found = FAULT.fullmatch(word)
     if found and found["kind"] in FAULTS.get(found["device"], ()):
@@ -97,7 +97,7 @@ def _read(word: str, orders: Orders) -> Orders | None:
 
 def _with_lens(orders: Orders, name: str, written: list[str]) -> Orders | None:
     """Return the orders with a property of the lens; None for an unknown name, or for wrong numbers."""
-    if not all(NUMBER.fullmatch(number) for number in written):
+    if not all(ORDERED_NUMBER.fullmatch(number) for number in written):
         return None
     values = [float(number) for number in written]
     if name == "cats_eye":
@@ -113,7 +113,7 @@ def _with_lens(orders: Orders, name: str, written: list[str]) -> Orders | None:
         return replace(orders, pupil={**orders.pupil, PUPIL[name]: number})
     if name == "higher_rms":
         return replace(orders, higher_waves=values[0])
-    if found := NOLL.fullmatch(name):
+    if found := NOLL_WORD.fullmatch(name):
         stated = {**orders.stated_waves, int(found[1]): values[0]}
         return replace(orders, stated_waves=stated)
     return None

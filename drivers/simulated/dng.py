@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 from labkit.files import write_atomically
 from labkit.version import __version__
 
-COLOURS = {"R": 0, "G": 1, "B": 2}
+CFA_COLOURS = {"R": 0, "G": 1, "B": 2}
 CFA_PHOTOMETRIC = 32803
-EXIF = 34665
-KEPT_FOR_EXIF = EXIF - 1
+EXIF_TAG = 34665
+KEPT_FOR_EXIF = EXIF_TAG - 1
 """tifffile writes no Exif entry: this one is written in its place, and becomes it."""
 
-BYTE, ASCII, SHORT, LONG, RATIONAL, SRATIONAL = 1, 2, 3, 4, 5, 10
+BYTE, ASCII, SHORT_TYPE, LONG, RATIONAL, SRATIONAL = 1, 2, 3, 4, 5, 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ class RawTags:
 
     def __post_init__(self) -> None:
         if self.pattern != "mono" and (
-            len(self.pattern) != 4 or set(self.pattern) - set(COLOURS)
+            len(self.pattern) != 4 or set(self.pattern) - set(CFA_COLOURS)
         ):
             raise ValueError(
                 f'a pattern is "mono" or four of R, G and B, not {self.pattern!r}'
@@ -91,7 +91,7 @@ def _append_exif(file: io.BytesIO, tags: RawTags) -> None:
     if tags.exposure_s is not None:
         entries.append(struct.pack("<HHII", 33434, RATIONAL, 1, at))
     if tags.iso is not None:
-        entries.append(struct.pack("<HHIHH", 34855, SHORT, 1, tags.iso, 0))
+        entries.append(struct.pack("<HHIHH", 34855, SHORT_TYPE, 1, tags.iso, 0))
     file.seek(at)
     file.write(struct.pack("<II", seconds.numerator, seconds.denominator))
     file.write(struct.pack("<H", len(entries)) + b"".join(entries) + bytes(4))
@@ -99,7 +99,7 @@ def _append_exif(file: io.BytesIO, tags: RawTags) -> None:
     with tifffile.TiffFile(file) as tiff:
         kept = tiff.pages.first.tags[KEPT_FOR_EXIF].offset
         file.seek(kept)
-        file.write(struct.pack("<HHII", EXIF, LONG, 1, at + 8))
+        file.write(struct.pack("<HHII", EXIF_TAG, LONG, 1, at + 8))
 
 
 def _camera_tags(tags: RawTags) -> list[tuple[int, int, int, object, bool]]:
@@ -107,7 +107,7 @@ def _camera_tags(tags: RawTags) -> list[tuple[int, int, int, object, bool]]:
     return [
         (271, ASCII, 0, tags.make, True),
         (272, ASCII, 0, tags.model, True),
-        (274, SHORT, 1, tags.orientation, True),
+        (274, SHORT_TYPE, 1, tags.orientation, True),
         (KEPT_FOR_EXIF, LONG, 1, 0, True),
     ]
 
@@ -121,15 +121,15 @@ def _mosaic_tags(tags: RawTags) -> list[tuple[int, int, int, object, bool]]:
     )
     unit = tuple(number for i in range(9) for number in (int(i % 4 == 0), 1))
     return [
-        (33421, SHORT, 2, (2, 2), True),
-        (33422, BYTE, 4, bytes(COLOURS[colour] for colour in tags.pattern), True),
+        (33421, SHORT_TYPE, 2, (2, 2), True),
+        (33422, BYTE, 4, bytes(CFA_COLOURS[colour] for colour in tags.pattern), True),
         (50706, BYTE, 4, bytes((1, 4, 0, 0)), True),
         (50707, BYTE, 4, bytes((1, 1, 0, 0)), True),
         (50708, ASCII, 0, f"{tags.make} {tags.model}", True),
-        (50713, SHORT, 2, (2, 2), True),
+        (50713, SHORT_TYPE, 2, (2, 2), True),
         (50714, LONG, 4, black, True),
         (50717, LONG, 1, tags.white_level, True),
         (50721, SRATIONAL, 9, unit, True),
         (50728, RATIONAL, 3, (1, 1) * 3, True),
-        (50778, SHORT, 1, 21, True),
+        (50778, SHORT_TYPE, 1, 21, True),
     ]

@@ -18,7 +18,7 @@ import numpy as np
 import scipy.fft
 from numpy.polynomial.polynomial import polyval
 
-from labkit.drivers.simulated.pupil import DISC, RIM_REACH, Pupil
+from labkit.drivers.simulated.pupil import RIM_REACH, ROUND_PUPIL, Pupil
 from labkit.types import Floats, Floats32
 
 
@@ -170,7 +170,7 @@ def point_spread(
     spacing_um: float,
     reach: int,
     reference_nm: float = 450.0,
-    pupil: Pupil = DISC,
+    pupil: Pupil = ROUND_PUPIL,
 ) -> Floats32:
     """Return the lens's PSF on a grid of spacing_um: (2 reach + 1, 2 reach + 1), centred, shares of all light.
 

@@ -12,7 +12,7 @@ from labkit.types import Floats
 LEAST_VEIL_PX = 2.0
 """A veil is laid from pixel to pixel, and a narrower one would alias: a Gaussian of two pixels keeps 3e-9 at half a cycle."""
 
-LEAST_SIDE = 1e-6
+LEAST_PARALLELOGRAM_SIDE = 1e-6
 """Of a parallelogram, in panel pixels: a narrower one is taken to be as wide as that, lest 0 be divided by 0."""
 
 Sides = tuple[Floats, Floats, Floats]
@@ -155,7 +155,9 @@ def _lit_share(
     The rectangle is 1 / (high - low) within low..high of each unit and 0 elsewhere; first,
     second: widths of the boxes.
     """
-    a, b = (np.maximum(np.abs(width), LEAST_SIDE) / 2 for width in (first, second))
+    a, b = (
+        np.maximum(np.abs(width), LEAST_PARALLELOGRAM_SIDE) / 2 for width in (first, second)
+    )
     beyond = np.zeros(np.shape(middle))
     for sign, place in ((1, a + b), (-1, a - b), (-1, b - a), (1, -a - b)):
         beyond += sign * (

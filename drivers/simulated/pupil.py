@@ -21,8 +21,8 @@ from scipy.special import factorial, ndtr
 from labkit.types import Floats
 
 FEWEST_BLADES, MOST_BLADES = 3, 24
-MOST_OBSTRUCTION = 0.9
-LEAST_CLEAR = 0.1
+MOST_OBSTRUCTED = 0.9
+LEAST_CLEAR_SHARE = 0.1
 """Share of the pupil that a cat's eye leaves at least."""
 
 STRAIGHT = 1e-6
@@ -69,14 +69,14 @@ class Pupil:
             raise ValueError(
                 f"rounding of blades is 0 (straight) to 1 (a circle), not {self.rounding:g}"
             )
-        if not 0 <= self.obstruction < MOST_OBSTRUCTION:
+        if not 0 <= self.obstruction < MOST_OBSTRUCTED:
             raise ValueError(
-                f"an obstruction is 0 to less than {MOST_OBSTRUCTION:g} of the diameter, "
+                f"an obstruction is 0 to less than {MOST_OBSTRUCTED:g} of the diameter, "
                 f"not {self.obstruction:g}"
             )
         if not self.blades and (self.rounding or self.turn_deg):
             raise ValueError("turn and rounding are those of blades: say how many")
-        if self.cats_eye and not self.clear_share >= LEAST_CLEAR:
+        if self.cats_eye and not self.clear_share >= LEAST_CLEAR_SHARE:
             raise ValueError(
                 "a cat's eye is shift, radius and direction of a circle that leaves a tenth "
                 f"of the pupil or more, not {self.clear_share:.2g} of it"
@@ -163,7 +163,7 @@ class Pupil:
             yield shift * cos(angle) * unit, shift * sin(angle) * unit, radius * unit
 
 
-DISC = Pupil()
+ROUND_PUPIL = Pupil()
 
 
 def _smooth_step(samples: Floats) -> Floats:

@@ -15,7 +15,7 @@ from labkit.plan import Plan
 RUN_UP_MM = 1.0
 """Each stop is approached upward over at least this distance, to remove backlash."""
 
-TOLERANCE_MM = 0.2
+LOST_STEPS_MM = 0.2
 """A carriage farther than this from where it should be has lost steps."""
 
 
@@ -84,7 +84,7 @@ class SimulatedRail(SimulatedDevice):
     def _measure(self, position_mm: float) -> float:
         step_mm = self._bench.settings.rail.encoder_step_mm
         measured_mm = round(self._bench.counted_mm / step_mm) * step_mm
-        if abs(measured_mm - position_mm) > TOLERANCE_MM:
+        if abs(measured_mm - position_mm) > LOST_STEPS_MM:
             self._homed = False
             raise RailError(
                 f"the simulated rail was sent to {position_mm:.3f} mm and its encoder reads {measured_mm:.3f} mm: "

@@ -15,7 +15,7 @@ from labkit.drivers.simulated.scene import (
 )
 from labkit.types import Floats32
 
-TILE_PX = 320
+SIMULATED_TILE_PX = 320
 """Side of a tile: with ten samples to a pixel and a rim of 42 pixels on each side its transform takes 65 MB."""
 
 Spread = tuple[Floats32, Floats32]
@@ -51,7 +51,7 @@ def mosaic_in_tiles(
         colour: np.zeros((grid.rows + 2 * rim, grid.cols + 2 * rim), dtype=np.float32)
         for colour in spreads
     }
-    for rows, cols in tiles(grid.rows, grid.cols, TILE_PX):
+    for rows, cols in tiles(grid.rows, grid.cols, SIMULATED_TILE_PX):
         size = rows.stop - rows.start, cols.stop - cols.start
         here = FineGrid(*size, grid.samples, grid.reach, rows.start, cols.start)
         for colour, (psf, _) in spreads.items():

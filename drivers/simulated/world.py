@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Literal
 
 from labkit.drivers.simulated.parts import Lit, LowPassFilter, Smear, Spectrum, Veil
-from labkit.drivers.simulated.pupil import DISC, Pupil
+from labkit.drivers.simulated.pupil import ROUND_PUPIL, Pupil
 
 REFERENCE_NM = 450.0
 """Wavelength in whose waves the truth counts optical paths."""
@@ -21,7 +21,7 @@ FIXED_MODES = tuple(range(5, 16))
 HIGHER_MODES = tuple(range(16, 37))
 """Noll's modes of radial orders 5 to 7, of which a lens as it is made has a little."""
 
-MOST_NOLL, MOST_WAVES = 45, 2.0
+MOST_STATED_NOLL, MOST_STATED_WAVES = 45, 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +53,7 @@ class TrueLens:
     """RMS of random modes of the orders beyond, `HIGHER_MODES`."""
     stated_waves: Mapping[int, float] = field(default_factory=dict)
     """{Noll mode: waves RMS} of all colours, in place of drawn modes; 5 to 45."""
-    pupil: Pupil = DISC
+    pupil: Pupil = ROUND_PUPIL
     lateral_colour: Mapping[str, float] = field(default_factory=dict)
     """Relative excess of a colour's image size; 0 for colours left out."""
     vignetting: float = 0.10
@@ -64,20 +64,20 @@ class TrueLens:
     """Stray light, as vignetted as all light is."""
 
     def __post_init__(self) -> None:
-        if not 0 <= self.higher_waves <= MOST_WAVES:
+        if not 0 <= self.higher_waves <= MOST_STATED_WAVES:
             raise ValueError(
-                f"modes beyond Noll 15 have 0 to {MOST_WAVES:g} waves RMS, "
+                f"modes beyond Noll 15 have 0 to {MOST_STATED_WAVES:g} waves RMS, "
                 f"not {self.higher_waves:g}"
             )
         for j, waves in self.stated_waves.items():
-            if not FIXED_MODES[0] <= j <= MOST_NOLL:
+            if not FIXED_MODES[0] <= j <= MOST_STATED_NOLL:
                 raise ValueError(
-                    f"modes are stated for Noll {FIXED_MODES[0]} to {MOST_NOLL}, not {j}; "
+                    f"modes are stated for Noll {FIXED_MODES[0]} to {MOST_STATED_NOLL}, not {j}; "
                     "defocus, 4, comes from the range"
                 )
-            if not abs(waves) <= MOST_WAVES:
+            if not abs(waves) <= MOST_STATED_WAVES:
                 raise ValueError(
-                    f"a mode has at most {MOST_WAVES:g} waves RMS, not {waves:g} (Noll {j})"
+                    f"a mode has at most {MOST_STATED_WAVES:g} waves RMS, not {waves:g} (Noll {j})"
                 )
 
     @property
@@ -300,7 +300,7 @@ class Truth:
     counts_per_electron: float
     read_noise_counts: float
     visits: tuple[Visit, ...]
-    pupil: Pupil = DISC
+    pupil: Pupil = ROUND_PUPIL
     outer_f_number: float | None = None
     clear_share: float = 1.0
     reference_wavelength_nm: float = REFERENCE_NM

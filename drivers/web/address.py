@@ -15,8 +15,11 @@ from labkit.errors import PlanError
 from labkit.plan import Plan
 
 DEFAULT_PORT = 8642
-RESERVED = ("monitor", "page")
-ALLOWED = "web://HOST:PORT or web://HOST:PORT/NAME, such as web://127.0.0.1:8642 (this machine) or web://0.0.0.0:8642 (all)"
+RESERVED_NAMES = ("monitor", "page")
+ALLOWED_ADDRESSES = (
+    "web://HOST:PORT or web://HOST:PORT/NAME, such as web://127.0.0.1:8642 (this machine) "
+    "or web://0.0.0.0:8642 (all)"
+)
 
 
 def parse_address(address: str) -> tuple[str, int, str]:
@@ -31,15 +34,15 @@ def parse_address(address: str) -> tuple[str, int, str]:
             parts.path.strip("/") or "screen",
         )
     except ValueError:
-        raise PlanError(f'address "{address}": allowed is {ALLOWED}') from None
+        raise PlanError(f'address "{address}": allowed is {ALLOWED_ADDRESSES}') from None
     plain = not (parts.query or parts.fragment or parts.username or parts.password)
     if (
         parts.scheme != "web"
         or not plain
         or not re.fullmatch(r"[a-z0-9-]{1,20}", name)
-        or name in RESERVED
+        or name in RESERVED_NAMES
     ):
-        raise PlanError(f'address "{address}": allowed is {ALLOWED}')
+        raise PlanError(f'address "{address}": allowed is {ALLOWED_ADDRESSES}')
     return host, DEFAULT_PORT if port is None else port, name
 
 

@@ -16,7 +16,7 @@ from websockets.typing import Origin
 
 from labkit.files import state_folder, write_atomically
 
-ANSWER_S = 2.0
+PAGE_ANSWER_S = 2.0
 
 
 def note(url: str, address: str) -> Path:
@@ -63,7 +63,7 @@ def _state(url: str) -> dict[str, Any]:
     """Return the first message to the operator's page."""
     origin = Origin(f"http://{urlsplit(url).netloc}")
     with connect(
-        f"ws{url.removeprefix('http')}/socket", origin=origin, open_timeout=ANSWER_S
+        f"ws{url.removeprefix('http')}/socket", origin=origin, open_timeout=PAGE_ANSWER_S
     ) as wire:
-        state: dict[str, Any] = json.loads(wire.recv(timeout=ANSWER_S))
+        state: dict[str, Any] = json.loads(wire.recv(timeout=PAGE_ANSWER_S))
     return state

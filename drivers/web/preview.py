@@ -11,7 +11,7 @@ from labkit.finder.sharpness import sharpest_edge_px
 from labkit.photographs.photograph import Photograph
 from labkit.types import FrameKind
 
-BINS = 64
+HISTOGRAM_BINS = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,8 +74,12 @@ def histogram(mosaic: Photograph) -> list[float]:
     """
     of_count = np.bincount(mosaic.counts.ravel(), minlength=1)
     black = float(mosaic.black.mean())
-    step = np.floor((np.arange(of_count.size) - black) / (mosaic.white - black) * BINS)
+    step = np.floor(
+        (np.arange(of_count.size) - black) / (mosaic.white - black) * HISTOGRAM_BINS
+    )
     share = np.bincount(
-        np.clip(step, 0, BINS - 1).astype(int), weights=of_count, minlength=BINS
+        np.clip(step, 0, HISTOGRAM_BINS - 1).astype(int),
+        weights=of_count,
+        minlength=HISTOGRAM_BINS,
     )
     return [float(value) for value in share / mosaic.counts.size]

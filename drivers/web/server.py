@@ -39,16 +39,16 @@ from labkit.drivers.web.screen import Report, Screen
 from labkit.errors import DisplayError, PlanError
 from labkit.files import state_folder
 
-START_S = STOP_S = 10.0
+SERVER_START_S = SERVER_STOP_S = 10.0
 SEND_S = PONG_S = 10.0
 """A page that takes longer to accept a message, or to answer a ping, is let go; it comes back by itself."""
 
 PING_S = 5.0
 
-MOST_BYTES = 2048
+MOST_MESSAGE_BYTES = 2048
 """Of a message from a page, and (eight times as many) of a request's head."""
 
-MOST_READ = 32 * MOST_BYTES
+MOST_REFUSED_BYTES = 32 * MOST_MESSAGE_BYTES
 """Of a message that is refused: past this, uvicorn drops the connection before a page can have read why."""
 
 MOST_MONITORS = 32
@@ -60,7 +60,7 @@ TYPES = {
     ".css": "text/css; charset=utf-8",
     ".js": "text/javascript; charset=utf-8",
 }
-GONE, TAKEN_OVER, CROWDED, NOT_UNDERSTOOD = 4000, 4001, 4002, 4003
+SERVER_GONE, TAKEN_OVER, CROWDED, NOT_UNDERSTOOD = 4000, 4001, 4002, 4003
 TOO_LONG = 1009
 """RFC 6455, section 7.4.1."""
 
@@ -112,7 +112,7 @@ class WebServer:
                 loop="asyncio",
                 http=Connection,
                 ws="websockets-sansio",
-                ws_max_size=MOST_READ,
+                ws_max_size=MOST_REFUSED_BYTES,
                 ws_ping_interval=PING_S,
                 ws_ping_timeout=PONG_S,
                 ws_per_message_deflate=False,
@@ -122,7 +122,7 @@ class WebServer:
                 access_log=False,
                 proxy_headers=False,
                 server_header=False,
-                h11_max_incomplete_event_size=8 * MOST_BYTES,
+                h11_max_incomplete_event_size=8 * MOST_MESSAGE_BYTES,
                 timeout_keep_alive=5,
                 timeout_graceful_shutdown=1,
             )
@@ -132,12 +132,12 @@ class WebServer:
     def start(self) -> None:
         """Serve. Raises DisplayError if the server does not start."""
         self._thread.start()
-        deadline = time.monotonic() + START_S
+        deadline = time.monotonic() + SERVER_START_S
         while not self._server.started:
             if time.monotonic() > deadline or not self._thread.is_alive():
                 self.close()
                 raise DisplayError(
-                    f"the web server on port {self.port} did not start within {START_S:g} s"
+                    f"the web server on port {self.port} did not start within {SERVER_START_S:g} s"
                 )
             time.sleep(0.01)
         self._noted = note(self.url("monitor"), f"web://{self._host}:{self.port}")
@@ -151,7 +151,7 @@ class WebServer:
                 self._noted.unlink()
         self._server.should_exit = True
         if self._thread.is_alive():
-            self._thread.join(STOP_S)
+            self._thread.join(SERVER_STOP_S)
         self._socket.close()
 
     def url(self, page: str) -> str:
@@ -223,7 +223,7 @@ class WebServer:
         def message() -> dict[str, Any] | int:
             if screen.holds(socket):
                 return _message(screen)
-            return TAKEN_OVER if self.screens.get(screen.name) is screen else GONE
+            return TAKEN_OVER if self.screens.get(screen.name) is screen else SERVER_GONE
 
         try:
             await _converse(socket, hear, message, wake, 0.0)
@@ -315,7 +315,7 @@ async def _converse(
 
 async def _listen_to(socket: WebSocket, hear: Callable[[str], None]) -> None:
     try:
-        while len(text := await socket.receive_text()) <= MOST_BYTES:
+        while len(text := await socket.receive_text()) <= MOST_MESSAGE_BYTES:
             hear(text)
         await _within(socket.close(TOO_LONG))
     except (ValidationError, KeyError):

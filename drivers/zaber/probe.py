@@ -8,8 +8,8 @@ from labkit.drivers.serial.wire import SerialWire
 from labkit.drivers.zaber.protocol import command_line, read_reply
 from labkit.drivers.zaber.rail import AXIS, DEVICE
 
-ANSWER_S = 0.5
-NUMBER = 17
+PROBE_ANSWER_S = 0.5
+PROBE_NUMBER = 17
 """Of the question: that of its answer."""
 
 
@@ -19,13 +19,13 @@ def answers(path: str) -> str | None:
     """
     wire = SerialWire(path, 115_200)
     try:
-        end_s = time.monotonic() + ANSWER_S
+        end_s = time.monotonic() + PROBE_ANSWER_S
         wire.send(
-            b"\n" + command_line(DEVICE, AXIS, NUMBER, "")
+            b"\n" + command_line(DEVICE, AXIS, PROBE_NUMBER, "")
         )  # after whatever half a line is there
         while (line := wire.line(end_s)) is not None:
             reply = read_reply(line)
-            if reply is not None and reply.number == NUMBER:
+            if reply is not None and reply.number == PROBE_NUMBER:
                 return "Zaber"
         return None
     finally:

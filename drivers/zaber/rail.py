@@ -13,7 +13,12 @@ from collections.abc import Callable
 
 from labkit.devices.context import DeviceContext
 from labkit.devices.protocols import Travel
-from labkit.drivers.serial.rail import TOLERANCE_MM, SerialRail, open_port, rail_settings
+from labkit.drivers.serial.rail import (
+    REST_TOLERANCE_MM,
+    SerialRail,
+    open_port,
+    rail_settings,
+)
 from labkit.drivers.zaber.protocol import (
     FLAGS,
     REASONS,
@@ -26,11 +31,11 @@ from labkit.errors import DeviceTimeoutError, PlanError, RailError
 from labkit.plan import Plan
 
 DEVICE, AXIS = 1, 1
-TRIES = 3
+COMMAND_TRIES = 3
 NOBODY = 99
 """Message id whose reply nobody waits for; the others are used in turn."""
 
-POLL_S = 0.05
+REST_POLL_S = 0.05
 MOVING_S = 5.0
 """Added to twice the time of a move at full speed: ramps, and settling of an encoder."""
 
@@ -153,7 +158,7 @@ class ZaberRail(SerialRail):
         """Return the measured position; raise an error unless it is the expected one."""
         self._check(self._ask(""))
         at_mm = self._position_mm()
-        if abs(at_mm - wanted_mm) > TOLERANCE_MM:
+        if abs(at_mm - wanted_mm) > REST_TOLERANCE_MM:
             if self._stopping:
                 self._at_mm = at_mm
                 raise RailError(
@@ -177,7 +182,7 @@ class ZaberRail(SerialRail):
                 self._check(reply)
             if not reply.busy:
                 return
-            time.sleep(POLL_S)
+            time.sleep(REST_POLL_S)
         self._homed = False
         raise DeviceTimeoutError(f"{self} still moved after {within_s:.0f} s; home it")
 
@@ -185,7 +190,7 @@ class ZaberRail(SerialRail):
         """Return the reply to a command, which is sent again without a reply. Raises RailError,
         DeviceTimeoutError.
         """
-        for _ in range(TRIES):
+        for _ in range(COMMAND_TRIES):
             self._number = (self._number + 1) % NOBODY
             self._send(command_line(DEVICE, AXIS, self._number, command))
             reply = self._hear(self._number)

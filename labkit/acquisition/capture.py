@@ -42,7 +42,7 @@ from labkit.photographs.decoding import read_photograph
 from labkit.photographs.exposure import exposure_problem
 from labkit.photographs.photograph import Photograph
 from labkit.plan import Plan
-from labkit.session.session import EXPOSING, Session, begin
+from labkit.session.session import EXPOSING_FOLDER, Session, begin
 from labkit.target import open_target
 from labkit.types import Progress, no_progress
 
@@ -134,7 +134,7 @@ def run_plan(
         log.show("stopped", error=str(error))
         raise
     finally:
-        shutil.rmtree(session.folder / EXPOSING, ignore_errors=True)
+        shutil.rmtree(session.folder / EXPOSING_FOLDER, ignore_errors=True)
 
 
 def _drawn_otherwise(plan: Plan, picture: PanelPicture) -> str | None:
@@ -157,7 +157,7 @@ class _Capture:
         self._log = log
         self._ask = ask
         self._patient = PatientDevices(
-            session.plan, devices, log, session.folder / EXPOSING
+            session.plan, devices, log, session.folder / EXPOSING_FOLDER
         )
         self._first: Photograph | None = None
 

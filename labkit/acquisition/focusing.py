@@ -29,12 +29,12 @@ from labkit.types import Floats
 LIVE = Sensor(pixel_pitch_um=1.0)
 """Of a picture of the live view, which says all else by itself."""
 
-FRAME, LIVE_VIEW = "frame", "live view"
+FRAME_SOURCE, LIVE_VIEW_SOURCE = "frame", "live view"
 
 
 @dataclass(frozen=True, slots=True)
 class FocusReading:
-    """One photograph for focusing. source: FRAME or LIVE_VIEW, whose pixels are not the sensor's.
+    """One photograph for focusing. source: FRAME or LIVE_VIEW_SOURCE, whose pixels are not the sensor's.
 
     edge_px: rise of the sharpest edges in pixels, None without light or edges;
     full_percent: share of saturated pixels; corners_px: (4, 2) of the target, None if not
@@ -143,7 +143,7 @@ def focus(
                 if seen is None
                 else read_photograph(seen, LIVE)
             )
-        reading = _read(number, LIVE_VIEW if live else FRAME, mosaic, alone)
+        reading = _read(number, LIVE_VIEW_SOURCE if live else FRAME_SOURCE, mosaic, alone)
         corners = None if reading.corners_px is None else np.array(reading.corners_px)
         for observer in observers:
             if isinstance(observer, Viewer):

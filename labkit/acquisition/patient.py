@@ -25,7 +25,7 @@ from labkit.plan import Plan
 
 Result = TypeVar("Result")
 
-TRIES = 3
+DEVICE_TRIES = 3
 """How often a device may fail at one step before the capture stops."""
 
 
@@ -95,7 +95,7 @@ class PatientDevices:
         if shot.range_mm is None:
             return self.photograph(picture, shot.name), {}
         rail = self.devices.rail
-        for attempt in range(1, TRIES + 1):
+        for attempt in range(1, DEVICE_TRIES + 1):
             meta = self.go_to(shot.range_mm)
             raw = self.photograph(picture, shot.name)
             try:
@@ -110,7 +110,7 @@ class PatientDevices:
                     attempt=attempt,
                     error=f"after {shot.name}: {error}",
                 )
-                if attempt == TRIES:
+                if attempt == DEVICE_TRIES:
                     raise
         raise AssertionError("unreachable: the last attempt returns or raises")
 
@@ -126,7 +126,7 @@ class PatientDevices:
         name: of the file, without suffix
         """
         display = self.devices.display
-        for attempt in range(1, TRIES + 1):
+        for attempt in range(1, DEVICE_TRIES + 1):
             raw = self._try("camera", lambda: self._expose(name), self._ready_camera)
             if not isinstance(display, PictureChecking) or self._try(
                 "display", display.undisturbed, lambda: None
@@ -140,7 +140,7 @@ class PatientDevices:
             )
             self.show(picture)
         raise DisplayError(
-            f"the display lost its picture during {name}, {TRIES} times in a row; look at it"
+            f"the display lost its picture during {name}, {DEVICE_TRIES} times in a row; look at it"
         )
 
     def _home(self) -> None:
@@ -166,7 +166,7 @@ class PatientDevices:
         self, device: str, action: Callable[[], Result], recover: Callable[[], object]
     ) -> Result:
         """Use a device; on trouble recover and try again, a bounded number of times."""
-        for attempt in range(1, TRIES + 1):
+        for attempt in range(1, DEVICE_TRIES + 1):
             try:
                 if attempt > 1:
                     recover()
@@ -178,6 +178,6 @@ class PatientDevices:
             except DeviceError as error:
                 self._note_recovered(device)
                 self._log.note("trouble", device=device, attempt=attempt, error=str(error))
-                if attempt == TRIES:
+                if attempt == DEVICE_TRIES:
                     raise
         raise AssertionError("unreachable: the last attempt returns or raises")

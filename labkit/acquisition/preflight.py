@@ -44,7 +44,7 @@ Result = TypeVar("Result")
 SPARE_SHARE = 0.05
 """Of the room that photographs will take: kept free for journal and results."""
 
-KEPT = "preflight"
+PREFLIGHT_FOLDER = "preflight"
 """The folder of test photographs in a session's."""
 
 
@@ -100,7 +100,7 @@ def preflight(
 ) -> Findings:
     """Look at everything once. ends_mm: the nearest and the farthest stop; frames: photographs to come, into `folder`."""
     findings = Findings()
-    look = _Round(plan, patient, log, findings, folder / KEPT)
+    look = _Round(plan, patient, log, findings, folder / PREFLIGHT_FOLDER)
     shutil.rmtree(look.folder, ignore_errors=True)  # of an earlier preflight
     ready = findings.succeeds(patient.ready)
     for device in (patient.devices.camera, patient.devices.rail, patient.devices.display):

@@ -28,7 +28,7 @@ from labkit.plan import Channel, Plan
 AIRY_ZERO = 1.2197  # first zero of J1 over pi; the thesis prints 3.8317 in (3.49) to (3.53)
 ELECTRONS = 20_000  # at white, of a usual pixel exposed to half of its well
 MOST_ORDER = 8  # of a carpet: finer ones have more cells than any display has pixels
-MOST_ELECTRONS, LEAST_WANTED, FARTHEST_MM = 1e9, 1e-7, 1e7
+MOST_ELECTRONS, LEAST_WANTED, FARTHEST_ADVISED_MM = 1e9, 1e-7, 1e7
 
 
 @dataclass(frozen=True)
@@ -253,8 +253,8 @@ def _ranges(plan: Plan, ranges_mm: Sequence[float] | None) -> list[float]:
         )
     focal_mm = plan.lens.focal_length_mm
     for range_mm in ranges:
-        if not focal_mm < range_mm <= FARTHEST_MM:
-            allowed = f"more than the focal length, {focal_mm:g} mm, and at most {FARTHEST_MM:g} mm"
+        if not focal_mm < range_mm <= FARTHEST_ADVISED_MM:
+            allowed = f"more than the focal length, {focal_mm:g} mm, and at most {FARTHEST_ADVISED_MM:g} mm"
             raise PlanError(f"range {range_mm:g} mm: allowed is {allowed}")
     return ranges
 

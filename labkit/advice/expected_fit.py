@@ -16,17 +16,17 @@ from labkit.estimation.likelihood import FrameData
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
-from labkit.mode_groups import GROUPS
+from labkit.mode_groups import MODE_GROUPS
 from labkit.optics.lens import ThinLens, defocus_waves, ground_sample_mm
 from labkit.optics.wavefront import DEFOCUS
 from labkit.plan import Channel, Plan
 from labkit.target import Target, open_target
 from labkit.types import Floats
 
-NOISE = NoisePrior(1.0, 0.02, 9.0, 0.1)
+EXPECTED_NOISE = NoisePrior(1.0, 0.02, 9.0, 0.1)
 """Counts are electrons; 3 electrons of read noise; both known as well as flats and darks show them."""
 
-WAVES_RMS = 0.05
+EXPECTED_WAVES_RMS = 0.05
 """All modes except defocus together, of a usual lens."""
 
 LEAST_DEFOCUS_WAVES = 0.01
@@ -133,7 +133,7 @@ class Setup:
         modes are determined.
         """
         first, usual = self.plan.fit.noll[0], self.plan.fit.noll[-1]
-        lasts = [group.last for group in GROUPS.values() if group.last > usual]
+        lasts = [group.last for group in MODE_GROUPS.values() if group.last > usual]
         for last in (*reversed(lasts), usual):
             noll = tuple(range(first, last + 1))
             bound = self.fit(channel, range_mm, self.defocus(range_mm), noll).bound
@@ -151,9 +151,11 @@ class Setup:
         frame = FrameData(0 * light, used, light, 0 * light)
         pose = _pose(side_px, side, self.target)
         waves = _waves(optics.noll, defocus)
-        state = State(waves, (pose,), np.array([self.electrons]), np.zeros(1), NOISE.centre)
+        state = State(
+            waves, (pose,), np.array([self.electrons]), np.zeros(1), EXPECTED_NOISE.centre
+        )
         model = ForwardModel.build(optics, self.target, shape, pose)
-        expansion = expand(Problem(model, (frame,), NOISE), Start(state))
+        expansion = expand(Problem(model, (frame,), EXPECTED_NOISE), Start(state))
         cone = len(optics.noll)
         free = np.delete(np.arange(len(expansion.information)), cone)
         bound = bound_of(
@@ -181,7 +183,7 @@ def middle_mm(ranges_mm: Sequence[float], lens: ThinLens) -> float:
 
 
 def _waves(noll: tuple[int, ...], defocus: float) -> Floats:
-    waves = np.full(len(noll), WAVES_RMS / np.sqrt(len(noll)))
+    waves = np.full(len(noll), EXPECTED_WAVES_RMS / np.sqrt(len(noll)))
     if noll[0] == DEFOCUS:
         waves[0] = defocus if abs(defocus) > LEAST_DEFOCUS_WAVES else LEAST_DEFOCUS_WAVES
     return waves

@@ -6,9 +6,9 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from labkit.advice.expected_fit import Setup
-from labkit.advice.outlook import NUMBERS, Outlook, Proposal
+from labkit.advice.outlook import LENS_NUMBERS, Outlook, Proposal
 from labkit.panel.panels import plan_panel
-from labkit.panel.stripe_contrast import LEAST_CONTRAST, stripe_contrast
+from labkit.panel.stripe_contrast import LEAST_STRIPE_CONTRAST, stripe_contrast
 from labkit.plan import Channel, Plan
 from labkit.plan.sensor import BAYER
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 FEWEST_PX = 40  # of the target's side: smaller ones are warned of
 ENOUGH_PX = 60  # from here on fits are reliable
 MOST_PX = 10_000  # across the widest sensors
-NAMED = 4  # undetermined parameters that are named; more are counted
+MOST_NAMED = 4  # undetermined parameters that are named; more are counted
 
 ASSUMED = {
     "mono": "a mono sensor",
@@ -60,7 +60,7 @@ def notes_of(
 def _lens_notes(session: Outlook, proposal: Proposal) -> Iterator[str]:
     """Yield remarks on weakly determined quantities of the lens, and on measurements that would help."""
     for key in session.open_numbers():
-        name, unit = NUMBERS[key]
+        name, unit = LENS_NUMBERS[key]
         better = {remedy.what: remedy.std[key] for remedy in session.worthwhile(key)}
         if key == "pupil_magnification" and proposal.ranges_mm:
             better[proposal.what] = proposal.std[key]
@@ -102,7 +102,7 @@ def _fit_notes(advised: Sequence[RangeAdvice]) -> Iterator[str]:
     for at in advised:
         if many := len(at.undetermined):
             what = ", ".join(at.undetermined)
-            if many > NAMED:
+            if many > MOST_NAMED:
                 what = f"{many} combinations of wavefront, pose and light"
             yield f"at {at.range_mm:g} mm the photographs do not determine: {what}"
 
@@ -126,7 +126,7 @@ def _display_notes(plan: Plan, advised: Sequence[RangeAdvice]) -> Iterator[str]:
         for at in advised
     }
     range_mm = max(seen, key=seen.__getitem__)
-    if seen[range_mm] > LEAST_CONTRAST:
+    if seen[range_mm] > LEAST_STRIPE_CONTRAST:
         pixels = f'pixels = {{ pitch_mm = {pitch_mm:.4g}, layout = "rgb-stripes" }}'
         yield (
             f"at {range_mm:g} mm the display's own pixels will be seen with {seen[range_mm]:.0%} of contrast, if they are "

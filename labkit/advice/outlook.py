@@ -45,7 +45,7 @@ DETERMINED = 0.5
 WORTH = 0.5
 """Of an error: a further measurement that leaves more of it is not named."""
 
-NUMBERS = {
+LENS_NUMBERS = {
     "focal_length_mm": ("focal length", " mm"),
     "f_number": ("f-number", ""),
     "pupil_magnification": ("pupil magnification", ""),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from labkit.advice.advise import Advice, RangeAdvice
 from labkit.advice.expected_fit import DETERMINED_WAVES
-from labkit.advice.outlook import NUMBERS, Errors, Outlook, Proposal
+from labkit.advice.outlook import LENS_NUMBERS, Errors, Outlook, Proposal
 
 Rows = list[list[str]]
 
@@ -75,7 +75,7 @@ def session_rows(advice: Advice) -> Rows:
 def _error_rows(session: Outlook) -> Rows:
     rows = []
     for key, std in session.std.items():
-        name, unit = NUMBERS.get(key) or (f"best focus {key.partition('.')[2]}", " mm")
+        name, unit = LENS_NUMBERS.get(key) or (f"best focus {key.partition('.')[2]}", " mm")
         stated = (
             f", stated ± {session.stated[key]:.2g}{unit}" if key in session.stated else ""
         )
@@ -85,5 +85,5 @@ def _error_rows(session: Outlook) -> Rows:
 
 def _in_a_line(std: Errors) -> str:
     return ", ".join(
-        f"{name} ± {std[key]:.2g}{unit}" for key, (name, unit) in NUMBERS.items()
+        f"{name} ± {std[key]:.2g}{unit}" for key, (name, unit) in LENS_NUMBERS.items()
     )

@@ -73,7 +73,7 @@ from labkit.types import Progress, no_progress
 USUAL_CHI2 = (0.9, 1.5)
 """Usual chi2 per pixel of a model that describes its pixels: the noise is known to some 5 %, and small faults add up."""
 
-GO_ON = "fit again: that goes on where this one ended"
+FIT_AGAIN = "fit again: that goes on where this one ended"
 """Advice after an interrupted fit: completed fits are kept."""
 
 Ranges = float | Sequence[float] | None
@@ -201,14 +201,14 @@ def _written(
     made = {wavefront.key for wavefront in every[""].wavefronts}
     if lost and kept_keys(folder) - made:
         raise FitError(
-            f"{'; '.join(lost)}; {folder} holds earlier results of it, which stay; with fewer workers, {GO_ON}"
+            f"{'; '.join(lost)}; {folder} holds earlier results of it, which stay; with fewer workers, {FIT_AGAIN}"
         )
     try:
         for end, results in every.items():
             results.write(folder.with_name(folder.name + end))
     except InputError as error:
         raise InputError(
-            f"{error}; make room and {GO_ON}"
+            f"{error}; make room and {FIT_AGAIN}"
             + (f", but {kept.problem}" if kept.problem else "")
         ) from error
     if not lost:

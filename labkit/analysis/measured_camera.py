@@ -17,7 +17,7 @@ from labkit.results import Results, Wavefront
 from labkit.session.session import Session
 from labkit.uncertain import Uncertain
 
-SAME = 0.02  # relative: numbers of two plans that differ by more are of two cameras
+SAME_CAMERA = 0.02  # relative: numbers of two plans that differ by more are of two cameras
 
 
 def check_same_camera(
@@ -56,7 +56,7 @@ def _numbers(theirs: Plan, ours: Plan) -> list[str]:
     return [
         f"{name} = {a:g}, the session's is {b:g}"
         for name, (a, b) in pairs.items()
-        if abs(a / b - 1) > SAME
+        if abs(a / b - 1) > SAME_CAMERA
     ]
 
 
@@ -68,7 +68,7 @@ def _channels(results: Results, plan: Plan, channels: Collection[str]) -> list[s
         fitted = {w.wavelength_nm for w in results.of_channel(name)}
         if not fitted:
             wrong.append(f"channel {name}, the session has {', '.join(results.channels)}")
-        elif all(abs(light / nm - 1) > SAME for nm in fitted):
+        elif all(abs(light / nm - 1) > SAME_CAMERA for nm in fitted):
             wrong.append(
                 f"channel {name} at {light:g} nm, the session's is at {fitted.pop():g} nm"
             )

@@ -41,7 +41,7 @@ from labkit.session.session import Session
 from labkit.target import Target, open_target
 from labkit.types import Floats, Progress, no_progress
 
-LEAST_PIXELS = 100  # usable ones on the target
+LEAST_TARGET_PIXELS = 100  # usable ones on the target
 
 
 @dataclass(frozen=True)
@@ -114,13 +114,13 @@ def observe(
     return observations, each_once(findings)
 
 
-SURROUNDS = {"black": 0.0, "white": 1.0}
+SURROUND_LEVELS = {"black": 0.0, "white": 1.0}
 """How light a surround is, by the plan's name of it."""
 
 
 def _surround_findings(plan: Plan, observations: Sequence[Observation]) -> list[Finding]:
     """Report a surround that the photographs show to be another one than the plan states."""
-    stated = SURROUNDS.get(plan.target.surround)
+    stated = SURROUND_LEVELS.get(plan.target.surround)
     levels = [
         level
         for o in observations
@@ -195,9 +195,9 @@ def _locate(frame: Frame, plan: Plan, target: Target) -> _Shot:
 
 def _other_surround(mosaic: Photograph, frame: Frame, plan: Plan) -> str | None:
     """Return the surround with which the target is found, black or white, where the plan states the other one."""
-    if plan.target.surround not in SURROUNDS:
+    if plan.target.surround not in SURROUND_LEVELS:
         return None
-    (other,) = SURROUNDS.keys() - {plan.target.surround}
+    (other,) = SURROUND_LEVELS.keys() - {plan.target.surround}
     target = open_target(plan.replace(target={"surround": other}).target)
     try:
         grey = grey_image(mosaic.light, mosaic.pattern)
@@ -279,7 +279,7 @@ def _frame_data(
     used = data.mask
     if target.surround is None:
         used = used & sees_target_only(pose, used.shape)
-    if used.sum() < LEAST_PIXELS:
+    if used.sum() < LEAST_TARGET_PIXELS:
         raise DataError(f"{too_few.format(used.sum())} on the target")
     frame = FrameData(
         data.counts, used, data.illumination, data.relative_std, rounding=data.rounding

@@ -9,7 +9,7 @@ from math import exp
 from labkit.estimation.laws import (
     F_NUMBER,
     FOCAL_LENGTH,
-    PITCH,
+    PIXEL_PITCH,
     RANGE_ZERO,
     SIZE,
     WAVELENGTH,
@@ -24,7 +24,7 @@ KEYS = {
     F_NUMBER: "lens.f_number",
     FOCAL_LENGTH: "lens.focal_length_mm",
     SIZE: "target.size_mm",
-    PITCH: "sensor.pixel_pitch_um",
+    PIXEL_PITCH: "sensor.pixel_pitch_um",
     RANGE_ZERO: "the ranges",
     WAVELENGTH: "channel.wavelength_nm",
 }
@@ -86,13 +86,13 @@ def _number(lens: LensFit, kind: str, name: Name, plan: Plan) -> _Number:
         return _Number("the common error of all ranges", 0.0, Uncertain(value, std, "mm"))
     stated, unit = {
         SIZE: (plan.target.size_mm, "mm"),
-        PITCH: (plan.sensor.pixel_pitch_um, "um"),
+        PIXEL_PITCH: (plan.sensor.pixel_pitch_um, "um"),
         WAVELENGTH: (_wavelength_nm(name, plan), "nm"),
     }[kind]
     if kind == WAVELENGTH and not name:
         stated, unit = 1.0, "times"
     # the pitch's column is ln of the stated over the true
-    true = stated * exp(-value if kind == PITCH else value)
+    true = stated * exp(-value if kind == PIXEL_PITCH else value)
     return _Number(_key(kind, name), stated, Uncertain(true, true * std, unit))
 
 

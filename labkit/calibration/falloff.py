@@ -11,7 +11,7 @@ import numpy as np
 from labkit.photographs.photograph import Cut
 from labkit.types import Floats, Floats32
 
-SAMPLES = 100  # along each side of the frame: light is smooth
+FALLOFF_SAMPLES = 100  # along each side of the frame: light is smooth
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +32,7 @@ class Falloff:
         columns) of a picture in colours
         """
         places = [
-            np.unique(np.linspace(0, n - 1, SAMPLES).round().astype(int))
+            np.unique(np.linspace(0, n - 1, FALLOFF_SAMPLES).round().astype(int))
             for n in illumination.shape
         ]
         rows, columns = (

@@ -29,7 +29,7 @@ from labkit.types import Bools, Floats, Floats32
 LEAST_DEFECT = 0.05
 """A pixel whose response is nearer than this to its neighbours' is no defect, however well it is measured."""
 
-LEAST_LIT = 0.2
+LEAST_LIT_BETWEEN = 0.2
 """Of its surroundings' light, what a pixel gets between a panel's pixels that still determines its response."""
 
 NEAR_PX = 3.0
@@ -97,7 +97,7 @@ def reduce_flats(stack: Stack, names: Sequence[str], dark: Dark | None) -> Flat:
             )
     mean[stack.saturated] = np.nan
     seen = bool(np.any(panel != 1))
-    panel[panel < LEAST_LIT] = np.nan
+    panel[panel < LEAST_LIT_BETWEEN] = np.nan
     lit = np.isfinite(illumination) & ~stack.saturated
     where = {name: stack.first.channel_mask(name) & lit for name in names}
     scatter = {name: tuple(stack.scatter(where[name], offset, lit=True)) for name in names}
@@ -132,7 +132,7 @@ def _light_and_panel(flat: Floats, good: Bools, full: Bools) -> tuple[Illuminati
         light = smooth_illumination(filled - smooth * pattern, good | full)
     if pattern.any():
         light = smooth_illumination(
-            filled / (1 + np.maximum(pattern, LEAST_LIT - 1)), good | full, NEAR_PX
+            filled / (1 + np.maximum(pattern, LEAST_LIT_BETWEEN - 1)), good | full, NEAR_PX
         )
     return light, pattern
 

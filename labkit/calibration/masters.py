@@ -27,10 +27,10 @@ OUTLIER_SIGMAS = 8.0
 ILLUMINATION_ORDER = 4
 """Total degree of the polynomial in row and column that takes vignetting and the display's fall-off."""
 
-SMOOTH_PX = 16.0
+ILLUMINATION_SMOOTHING_PX = 16.0
 """Standard deviation, in pixels of one plane, of the smoothing of what the polynomial leaves."""
 
-LIT = 0.25
+LIT_SHARE = 0.25
 """A flat's brightness, as a share of its bright parts', below which the display does not reach."""
 
 
@@ -92,7 +92,7 @@ class Illumination:
 
 
 def smooth_illumination(
-    flat: Floats, good: Bools, smooth_px: float = SMOOTH_PX
+    flat: Floats, good: Bools, smooth_px: float = ILLUMINATION_SMOOTHING_PX
 ) -> Illumination:
     """Return the smooth part of a plane's mean flat.
 
@@ -123,7 +123,7 @@ def _lit(flat: Floats, good: Bools) -> Bools:
     coarse = ndimage.uniform_filter(np.where(good, flat, 0.0), side) / np.maximum(
         ndimage.uniform_filter(good.astype(np.float64), side), 1e-3
     )
-    bright = coarse > LIT * np.percentile(coarse, 95)
+    bright = coarse > LIT_SHARE * np.percentile(coarse, 95)
     if bright.all():
         return np.asarray(bright)
     holes_filled = ndimage.binary_closing(

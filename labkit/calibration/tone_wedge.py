@@ -32,7 +32,7 @@ PATCHES = (4, 8)
 INSIDE = 0.5
 """Of a step's side is looked at, about its middle: the rest is blurred with its neighbours."""
 
-LEAST_PX = 64
+LEAST_STEP_PIXELS = 64
 """Of a step that is looked at."""
 
 CLIPPED = 0.01
@@ -42,10 +42,10 @@ UNEVEN = (0.05, 0.01)
 """Of a step's number, and of full scale: where a step's pixels scatter by more, the mean of the curve is not the curve of the
 mean. At a gamma of 2.2 a scatter of 5 % makes the number 0.15 % too low."""
 
-BRIGHT, EVEN = 0.85, 0.3
+BRIGHT, MOST_UNEVEN_LIGHT = 0.85, 0.3
 """White's number should be this share of full scale at least, and light vary by no more than this."""
 
-ROUNDS = 8
+CURVE_ROUNDS = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +88,7 @@ class Tone:
                 f"numbers above {most:.2f} of full scale were not measured, the curve is extrapolated as a straight line: "
                 "expose more"
             )
-        if self.uneven > EVEN:
+        if self.uneven > MOST_UNEVEN_LIGHT:
             yield (
                 f"the wedge's light varies by {self.uneven:.0%}, of which the curve may hold more than its errors say: "
                 "photograph the wedge from farther away, or straight on"
@@ -185,9 +185,9 @@ def _insides(
         inside = cv2.fillConvexPoly(
             np.zeros(shape, np.uint8), np.rint(quad).astype(np.int32), 1
         ).astype(np.bool_)
-        if (seen := np.count_nonzero(inside)) < LEAST_PX:
+        if (seen := np.count_nonzero(inside)) < LEAST_STEP_PIXELS:
             raise DataError(
-                f"a step of the wedge shows {seen} pixels, {LEAST_PX} are needed: go nearer"
+                f"a step of the wedge shows {seen} pixels, {LEAST_STEP_PIXELS} are needed: go nearer"
             )
         yield inside
 
@@ -234,7 +234,7 @@ def _curve(
 
     lit = light[step] > 0
     level, c, moved = mean(number), np.zeros(orders.shape[1]), number
-    for _ in range(ROUNDS):
+    for _ in range(CURVE_ROUNDS):
         rising = np.maximum.accumulate(level[1:]) + 1e-9 * np.arange(len(level) - 1)
         curve = PchipInterpolator(np.log(light[1:]), rising)
         at = np.log(np.maximum(light[step], light[1]))

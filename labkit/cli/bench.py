@@ -43,7 +43,7 @@ TargetText = Annotated[
 ]
 
 SAFE = "every photograph so far is safe, "
-DAMAGED = "photographs are missing or the journal is damaged: labkit verify names them; mend that, then "
+SESSION_DAMAGED = "photographs are missing or the journal is damaged: labkit verify names them; mend that, then "
 
 # What a command needs is imported inside it: `labkit --help` and tab completion must not wait for SciPy.
 
@@ -355,7 +355,7 @@ def _saying_what_is_safe(console: Console, session: Session) -> Iterator[None]:
         yield
     except BaseException:
         if session.frames:
-            safe = SAFE if is_safe(session) else DAMAGED
+            safe = SAFE if is_safe(session) else SESSION_DAMAGED
             console.hint = f"; {safe}{console.hint.removeprefix('; ')}"
         raise
 

@@ -26,7 +26,7 @@ COMMANDS = (bench, edges, focus, restoring, sessions)
 
 GLOBAL_FLAGS = ("--debug", "--quiet", "--json")
 
-INTERRUPTS = (signal.SIGTERM, signal.SIGHUP)
+END_SIGNALS = (signal.SIGTERM, signal.SIGHUP)
 """Beside Ctrl-C."""
 
 
@@ -82,7 +82,7 @@ def _interrupts(console: Console, leaving: bool) -> Iterator[None]:
     """
 
     def interrupt(number: int, frame: object) -> NoReturn:
-        for each in INTERRUPTS:
+        for each in END_SIGNALS:
             signal.signal(
                 each, signal.SIG_IGN
             )  # a terminal that is closed sends several: one is enough
@@ -90,7 +90,7 @@ def _interrupts(console: Console, leaving: bool) -> Iterator[None]:
         raise KeyboardInterrupt(console.interrupted_by)
 
     ours = threading.current_thread() is threading.main_thread()
-    before = {number: signal.getsignal(number) for number in INTERRUPTS}
+    before = {number: signal.getsignal(number) for number in END_SIGNALS}
     before = {
         number: handler
         for number, handler in before.items()
@@ -102,7 +102,7 @@ def _interrupts(console: Console, leaving: bool) -> Iterator[None]:
         yield
     except (KeyboardInterrupt, typer.Abort):
         if leaving and ours:
-            before = dict.fromkeys((signal.SIGINT, *INTERRUPTS), signal.SIG_IGN)
+            before = dict.fromkeys((signal.SIGINT, *END_SIGNALS), signal.SIG_IGN)
         raise
     finally:
         for number, handler in before.items():

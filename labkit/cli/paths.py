@@ -9,7 +9,7 @@ from pathlib import Path
 from labkit.errors import InputError, PlanError
 from labkit.session.journal import journal_in
 
-GONE = os.strerror(errno.ENOENT)
+NO_SUCH_FILE = os.strerror(errno.ENOENT)
 
 
 def a_session(path: Path) -> None:
@@ -21,7 +21,7 @@ def a_plan(*paths: Path | None) -> None:
     """Raise PlanError for a missing plan; ignore None."""
     for path in filter(None, paths):
         if not _is_there(path):
-            raise PlanError(f"plan {path}: {GONE}")
+            raise PlanError(f"plan {path}: {NO_SUCH_FILE}")
 
 
 def perhaps_a_plan(given: str) -> None:
@@ -34,7 +34,7 @@ def a_file(*paths: Path | None) -> None:
     """Raise InputError for a missing file; ignore None."""
     for path in filter(None, paths):
         if not _is_there(path):
-            raise InputError(f"{path}: {GONE}")
+            raise InputError(f"{path}: {NO_SUCH_FILE}")
 
 
 def a_file_or_plan(*paths: Path) -> None:

@@ -17,7 +17,7 @@ from labkit.panel.panels import PANELS, panel_info
 from labkit.panel.picture import panel_picture
 from labkit.plan import DisplaySettings, Plan
 from labkit.plan.messages import message, plain_number
-from labkit.plan.tables import BY_HAND, NEEDED
+from labkit.plan.tables import BY_HAND, NEEDED_BY_KIND
 from labkit.plan.text import write_tables
 from labkit.session.draft_plan import FILL_IN, Row, draft_tables
 from labkit.target import open_target
@@ -66,7 +66,7 @@ EXAMPLES: Mapping[str, tuple[str, str]] = {
 }
 """Of what only some targets need: a value as TOML, and its comment."""
 
-CAMERA: tuple[Row, ...] = (
+CAMERA_ROWS: tuple[Row, ...] = (
     ("address", '"gphoto2:"', "labkit devices lists what is connected"),
     ("exposure_s", "0.02", "so that white is two thirds of full: labkit camera test"),
     ("iso", "100", ""),
@@ -115,7 +115,7 @@ def plan_by_questions(
         _yes_or_no,
         "no",
     ):
-        answers.table("[camera]", iter(CAMERA))
+        answers.table("[camera]", iter(CAMERA_ROWS))
         answers.table("[rail]", _with_ranges(answers))
         answers.table("[display]", _shown(answers))
     text = "\n\n".join("\n".join(block) for block in answers.blocks) + "\n"
@@ -193,7 +193,7 @@ class _Answers:
                 )
         if key == "panel":
             panel_info(DisplaySettings.from_tables({**here, key: value}))
-        tables = {**STAND_INS, **self.tables}
+        tables = {**PLACEHOLDERS, **self.tables}
         filled = {**_stand_in(table, {**here, key: value}), **here, key: value}
         tables[table] = (
             [*self.tables[table][:-1], filled]
@@ -207,7 +207,7 @@ class _Answers:
             raise PlanError(message(error, Plan, tables)) from None
 
 
-STAND_INS: Mapping[str, Any] = {
+PLACEHOLDERS: Mapping[str, Any] = {
     "lens": {"focal_length_mm": 50.0, "f_number": 2.8},
     "sensor": {"pixel_pitch_um": 4.0},
     "channel": [{"name": "G", "wavelength_nm": 550.0}],
@@ -219,20 +219,20 @@ STAND_INS: Mapping[str, Any] = {
 def _stand_in(table: str, here: Mapping[str, Any]) -> dict[str, Any]:
     """Return placeholders for the unanswered keys of a table."""
     if table == "target":
-        needed = NEEDED.get(str(here.get("kind")), ())
+        needed = NEEDED_BY_KIND.get(str(here.get("kind")), ())
         return {
             "size_mm": 50.0,
             **{key: tomllib.loads(f"x = {EXAMPLES[key][0]}")["x"] for key in needed},
         }
     if table == "display" and here.get("address") == BY_HAND:
         return {}
-    rows = {"camera": CAMERA, "display": DISPLAY}.get(table, ())
+    rows = {"camera": CAMERA_ROWS, "display": DISPLAY}.get(table, ())
     filled = {key: tomllib.loads(f"x = {value}")["x"] for key, value, _ in rows if value}
     if table == "rail":
         filled = {"ranges_mm": [9e5], "range_at_zero_mm": 0.0}
     if table == "channel":
         filled = {"wavelength_nm": 550.0}
-    return {**dict(STAND_INS.get(table, {})), **filled} if table != "channel" else filled
+    return {**dict(PLACEHOLDERS.get(table, {})), **filled} if table != "channel" else filled
 
 
 def _of_kind(answers: _Answers, rows: list[Row]) -> Iterator[Row]:
@@ -241,7 +241,7 @@ def _of_kind(answers: _Answers, rows: list[Row]) -> Iterator[Row]:
         if key != "order":
             yield key, value, why
         if key == "kind":
-            for needed in NEEDED.get(answers.tables["target"]["kind"], ()):
+            for needed in NEEDED_BY_KIND.get(answers.tables["target"]["kind"], ()):
                 value, why = EXAMPLES[needed]
                 yield needed, value, f"{FILL_IN}{why}"
 
@@ -287,13 +287,13 @@ def _yes_or_no(text: str) -> bool:
     return text.lower().startswith("y")
 
 
-UNITS = {"_mm": "mm", "_um": "(?:[uµμ]m|microns?)", "_nm": "nm", "_s": "s"}
+UNIT_PATTERNS = {"_mm": "mm", "_um": "(?:[uµμ]m|microns?)", "_nm": "nm", "_s": "s"}
 """How people write the unit that a key ends in, as a regular expression."""
 
 
 def _without_unit(text: str, key: str) -> str:
     """Return an answer without the unit of its key: people write "50 mm"."""
-    for end, unit in UNITS.items():
+    for end, unit in UNIT_PATTERNS.items():
         if key.endswith(end):
             return re.sub(rf"(?<=[\d.,])\s*{unit}(?![a-z])", "", text)
     return text

@@ -24,7 +24,13 @@ if TYPE_CHECKING:
 
 # What a command needs is imported inside it: `labkit --help` and tab completion must not wait for SciPy.
 
-METHODS = ("model", "richardson-lucy", "richardson-lucy-blind", "wiener", "total-variation")
+METHOD_NAMES = (
+    "model",
+    "richardson-lucy",
+    "richardson-lucy-blind",
+    "wiener",
+    "total-variation",
+)
 
 Photographs = Annotated[
     list[Path],
@@ -105,7 +111,9 @@ Force = Annotated[
 SixteenBit = Annotated[
     bool, typer.Option("--sixteen-bit", help="Write a linear 16-bit TIFF too.")
 ]
-Method = Annotated[str, typer.Option(metavar="NAME", help=f"One of {', '.join(METHODS)}.")]
+Method = Annotated[
+    str, typer.Option(metavar="NAME", help=f"One of {', '.join(METHOD_NAMES)}.")
+]
 
 
 @app.command()
@@ -134,8 +142,8 @@ def restore(
     from labkit.restoration.restore import Wanted
     from labkit.restoration.scenes import scenes_of
 
-    if method not in METHODS:
-        raise DataError(f"--method {method}: allowed is {', '.join(METHODS)}")
+    if method not in METHOD_NAMES:
+        raise DataError(f"--method {method}: allowed is {', '.join(METHOD_NAMES)}")
     wanted = Wanted(
         strength=_strength(strength),
         channels=tuple(channel or ()),

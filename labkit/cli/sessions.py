@@ -311,10 +311,10 @@ def _show(console: Console, results: Results, diagnose: bool) -> None:
 
     Raises DataError for a requested quantity that could not be estimated.
     """
-    from labkit.findings import NO_ANSWER
+    from labkit.findings import UNANSWERED_CODES
 
     said = {"session-mended"} | (
-        set(NO_ANSWER) if results.unanswered else set()
+        set(UNANSWERED_CODES) if results.unanswered else set()
     )  # before the fit, and as the error
     for finding in results.findings:
         if finding.warns and finding.code not in said:

@@ -12,7 +12,13 @@ from pathlib import Path
 import usb.core
 from serial.tools import list_ports
 
-from labkit.devices.registry import GROUPS, finders, installed, page_finders, probes
+from labkit.devices.registry import (
+    ENTRY_POINT_GROUPS,
+    finders,
+    installed,
+    page_finders,
+    probes,
+)
 from labkit.errors import DeviceError
 
 IMAGE_CLASS = 6
@@ -130,7 +136,7 @@ def list_connected(probe: bool = False) -> Connected:
     for port in ports:
         notes += _hindrances(port.path, port.permitted, port.holders)
     rails, silent = _rails(ports) if probe else (None, ())
-    drivers = {device: installed(device) for device in GROUPS}
+    drivers = {device: installed(device) for device in ENTRY_POINT_GROUPS}
     return Connected(
         cameras, devices, ports, drivers, (*notes, *silent), rails, tuple(_open_pages())
     )

@@ -13,10 +13,10 @@ from typing import Literal, Protocol, TextIO, runtime_checkable
 
 from labkit.errors import DeviceError, DeviceTimeoutError
 
-ANSWER_S = 3600.0
+QUESTION_S = 3600.0
 """A question is given up after an hour; the capture then tries again."""
 
-POLL_S = 0.1
+TERMINAL_POLL_S = 0.1
 """How often the terminal and the pages are looked at in turn."""
 
 Wants = Literal["number", "done"]
@@ -125,7 +125,7 @@ class Operator:
             page.wake()
 
     def _wait(self, prompt: str) -> str:
-        deadline = time.monotonic() + ANSWER_S
+        deadline = time.monotonic() + QUESTION_S
         terminal = _terminal()
         if terminal is not None:
             forget_typed(terminal)
@@ -136,7 +136,7 @@ class Operator:
                 page.refuse_abort()
             with self._changed:
                 if self._answer is None and terminal is None:
-                    self._changed.wait(POLL_S)
+                    self._changed.wait(TERMINAL_POLL_S)
                 if self._answer is not None:
                     if terminal is not None:
                         print(
@@ -153,7 +153,7 @@ class Operator:
                         f"the terminal was closed before anyone answered: {prompt}"
                     )
         raise DeviceTimeoutError(
-            f"nobody answered within {ANSWER_S / 60:.0f} minutes: {prompt}"
+            f"nobody answered within {QUESTION_S / 60:.0f} minutes: {prompt}"
         )
 
 
@@ -175,6 +175,10 @@ def forget_typed(terminal: TextIO) -> None:
 def _line(terminal: TextIO) -> str | None:
     """Return a typed line with its end; "" from a closed terminal, None if nothing comes for a moment."""
     try:
-        return terminal.readline() if select.select([terminal], [], [], POLL_S)[0] else None
+        return (
+            terminal.readline()
+            if select.select([terminal], [], [], TERMINAL_POLL_S)[0]
+            else None
+        )
     except (OSError, ValueError):
         return ""

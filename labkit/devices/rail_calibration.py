@@ -16,7 +16,7 @@ from labkit.devices.registry import open_rail
 from labkit.errors import DataError, PlanError, shown
 from labkit.plan import Plan
 
-TAPE_MM = 3.0
+TAPE_ERROR_MM = 3.0
 """Measured by hand, a range may err by so much."""
 
 ENDLESS_MM = 1e5
@@ -160,7 +160,7 @@ def measure(
             f"{listed}: {'this does not fit the others' if len(wrong) == 1 else 'these do not fit each other'}; once more"
         )
         before = {k: take(k) for k in wrong}
-        if all(abs(was - ranges[k]) < TAPE_MM for k, was in before.items()):
+        if all(abs(was - ranges[k]) < TAPE_ERROR_MM for k, was in before.items()):
             break
     return positions, ranges
 
@@ -197,25 +197,25 @@ def find_zero(positions_mm: Sequence[float], ranges_mm: Sequence[float]) -> Rail
     """
     at, ranges = np.asarray(positions_mm, dtype=float), np.asarray(ranges_mm, dtype=float)
     span_mm = float(np.ptp(at)) if at.size else 0.0
-    if span_mm < 2 * TAPE_MM:
+    if span_mm < 2 * TAPE_ERROR_MM:
         raise DataError(
-            f"the places measured lie {span_mm:g} mm apart: take some at least {2 * TAPE_MM:g} mm apart"
+            f"the places measured lie {span_mm:g} mm apart: take some at least {2 * TAPE_ERROR_MM:g} mm apart"
         )
     slope = float(np.polynomial.Polynomial.fit(at, ranges, 1).convert().coef[1])
-    if abs(abs(slope) - 1) > 2 * TAPE_MM / span_mm:
+    if abs(abs(slope) - 1) > 2 * TAPE_ERROR_MM / span_mm:
         raise DataError(
             f"the range changed by {slope:.3f} mm for each mm of the rail: allowed is 1 or -1 within "
-            f"{2 * TAPE_MM / span_mm:.2g}; measure again, or correct the rail's steps per mm"
+            f"{2 * TAPE_ERROR_MM / span_mm:.2g}; measure again, or correct the rail's steps per mm"
         )
     direction: Literal[1, -1] = 1 if slope > 0 else -1
     zeros = ranges - direction * at
     std_mm = float(np.std(zeros, ddof=1) / np.sqrt(zeros.size)) if zeros.size > 2 else None
     misfit = tuple(float(value) for value in zeros - zeros.mean())
     worst = max(range(zeros.size), key=lambda k: abs(misfit[k]))
-    if abs(misfit[worst]) > 2 * TAPE_MM:
+    if abs(misfit[worst]) > 2 * TAPE_ERROR_MM:
         raise DataError(
             f"the {ranges[worst]:g} mm measured at {at[worst]:g} mm are {misfit[worst]:+.1f} mm from where the others have "
-            f"them: allowed is {2 * TAPE_MM:g}; measure again"
+            f"them: allowed is {2 * TAPE_ERROR_MM:g}; measure again"
         )
     return RailZero(
         direction,

@@ -33,7 +33,7 @@ from labkit.errors import PlanError
 from labkit.plan import Plan
 from labkit.plan.tables import BY_HAND
 
-GROUPS = {
+ENTRY_POINT_GROUPS = {
     "camera": "labkit.cameras",
     "rail": "labkit.rails",
     "display": "labkit.displays",
@@ -46,8 +46,8 @@ FINDERS, PROBES, PAGES = "labkit.finders", "labkit.probes", "labkit.pages"
 
 
 def installed(device: str) -> tuple[str, ...]:
-    """Return the names of the drivers installed for one of `GROUPS`."""
-    return tuple(sorted(entry_points(group=GROUPS[device]).names))
+    """Return the names of the drivers installed for one of `ENTRY_POINT_GROUPS`."""
+    return tuple(sorted(entry_points(group=ENTRY_POINT_GROUPS[device]).names))
 
 
 def finders() -> dict[str, Callable[[], Sequence[tuple[str, str]]]]:
@@ -170,7 +170,7 @@ def observers_of(context: DeviceContext, devices: Iterable[object]) -> tuple[Obs
 
 def _open(device: str, address: str, plan: Plan, context: DeviceContext) -> Any:
     scheme = address.partition(":")[0]
-    found = entry_points(group=GROUPS[device], name=scheme)
+    found = entry_points(group=ENTRY_POINT_GROUPS[device], name=scheme)
     if not found:
         known = (
             ", ".join(f"{name}:" for name in installed(device))

@@ -19,10 +19,10 @@ from labkit.panel.picture import panel_picture
 from labkit.plan import DisplaySettings, Plan
 from labkit.target import Target, open_target
 
-TARGET = "target"
-CHOICES = (TARGET, *PATTERNS)
+TARGET_CHOICE = "target"
+CHOICES = (TARGET_CHOICE, *PATTERNS)
 
-POLL_S = 0.2
+REQUEST_POLL_S = 0.2
 """How often it is looked whether to go on."""
 
 RETRY_S = 1.0
@@ -89,7 +89,7 @@ def keep_showing(
             target=_keep_showing, args=(display, queue, context, serving), daemon=True
         ).start()
     observers = observers_of(context, displays)
-    picked = TARGET
+    picked = TARGET_CHOICE
     try:
         while going():
             for observer in observers:
@@ -130,7 +130,7 @@ def panel_plans(spec: str, panels: Sequence[str], listen: str) -> list[tuple[str
 def _picture(name: str, target: Target, display: Display) -> Picture:
     return (
         panel_picture(target, display.panel).grey
-        if name == TARGET
+        if name == TARGET_CHOICE
         else pattern(name, display.panel)
     )
 
@@ -138,7 +138,7 @@ def _picture(name: str, target: Target, display: Display) -> Picture:
 def _next_request(context: DeviceContext, going: Callable[[], bool]) -> str | None:
     while going():
         try:
-            request = context.requests.get(timeout=POLL_S)
+            request = context.requests.get(timeout=REQUEST_POLL_S)
         except Empty:
             continue
         if request in CHOICES:
@@ -156,7 +156,7 @@ def _keep_showing(
     wanted: Picture | None = None
     while going():
         try:
-            wanted = queue.get(wanted is None, POLL_S)
+            wanted = queue.get(wanted is None, REQUEST_POLL_S)
             continue
         except Empty:
             pass

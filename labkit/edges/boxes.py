@@ -10,7 +10,7 @@ import numpy as np
 
 from labkit.edges.esfr import Plane
 from labkit.edges.found_edges import Box, FoundEdge, find_edges
-from labkit.edges.region import LEAST_PIXELS, Region
+from labkit.edges.region import LEAST_REGION_PIXELS, Region
 from labkit.errors import DataError
 from labkit.photographs.decoding import read_photograph
 from labkit.photographs.photograph import Photograph
@@ -18,7 +18,7 @@ from labkit.plan import Plan
 from labkit.plan.sensor import ChannelPixels
 from labkit.types import Bools, Floats
 
-LEAST_SIDE_PX = 12  # of a box
+LEAST_BOX_SIDE_PX = 12  # of a box
 DEPTH_PX = 16.0  # of a found edge's sides, in samples of its channel
 
 
@@ -72,9 +72,9 @@ class ChannelFrame:
         if place.found is not None:
             used = used & place.found.mask(y, x, DEPTH_PX * self.pixels.period)
             centre = place.found.middle
-        if used.sum() < LEAST_PIXELS:
+        if used.sum() < LEAST_REGION_PIXELS:
             raise DataError(
-                f"{used.sum()} usable pixels of channel {self.name} are in it, {LEAST_PIXELS} are needed"
+                f"{used.sum()} usable pixels of channel {self.name} are in it, {LEAST_REGION_PIXELS} are needed"
             )
         return Region(y[used], x[used], self.light[cut][used], centre, frame)
 
@@ -114,9 +114,9 @@ def checked_box(box: Box, shape: tuple[int, int]) -> str | None:
     """Return the fault of a box in a picture of (rows, columns), in one line; None if it can be used."""
     r0, c0, r1, c1 = box
     rows, columns = shape
-    if r1 - r0 < LEAST_SIDE_PX or c1 - c0 < LEAST_SIDE_PX:
+    if r1 - r0 < LEAST_BOX_SIDE_PX or c1 - c0 < LEAST_BOX_SIDE_PX:
         spans = f"{r1 - r0} rows and {c1 - c0} columns"
-        return f"the box spans {spans}: R0,C0,R1,C1 with {LEAST_SIDE_PX} of each at least is needed"
+        return f"the box spans {spans}: R0,C0,R1,C1 with {LEAST_BOX_SIDE_PX} of each at least is needed"
     if r0 < 0 or c0 < 0 or r1 > rows or c1 > columns:
         return (
             f"the box lies outside the image, which has {rows} rows and {columns} columns"

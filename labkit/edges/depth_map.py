@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from labkit.edges.found_edges import Box
 from labkit.edges.outcome import EdgesOutcome, MeasuredEdge
-from labkit.figure_style import INK, SOFT, WIDTH_IN
+from labkit.figure_style import INK, SOFT_INK, WIDTH_IN
 from labkit.types import Floats
 
 MAP = "viridis"  # in order of lightness too: for colour-blind readers, and in print
@@ -67,7 +67,7 @@ def draw_depth_map(grey: Floats, outcome: EdgesOutcome) -> Figure:
             bbox=box,
         )
     for of in outcome.rejected:
-        axes.plot(*_outline(of.box), color=SOFT, linestyle=(0, (3, 2)), linewidth=0.8)
+        axes.plot(*_outline(of.box), color=SOFT_INK, linestyle=(0, (3, 2)), linewidth=0.8)
     axes.set_title(f"{len(outcome.edges)} edges, {len(outcome.rejected)} rejected")
     return figure
 

@@ -27,8 +27,10 @@ LEAST_LINES, LEAST_CHANGE = (
     0.2,
 )  # that cross the edge; and how much of the greatest change counts as that
 MOST_CORRECTION = 10.0  # of the derivative's own response
-ABOUT = 2 * OVERSAMPLING  # bins on either side of the edge, none of which may be empty
-HIGHEST = 2.0  # cycles a sample, up to which curves are given
+BINS_ABOUT_EDGE = (
+    2 * OVERSAMPLING
+)  # bins on either side of the edge, none of which may be empty
+HIGHEST_FREQUENCY = 2.0  # cycles a sample, up to which curves are given
 MOST_RISE = 0.2  # of a response beyond the samples' Nyquist frequency; lobes of a defocused lens have 0.13
 MOST_UNSURE = 1 / 3  # of the frequency of a crossing: its standard error
 UNSURE = (
@@ -194,7 +196,9 @@ def _response(samples: _Samples, width: int, across_mm: float, slant: float) -> 
     place: Floats = np.arange(2.0 * half)
     peak = float(np.sum(place * np.abs(line) ** 2) / np.sum(np.abs(line) ** 2))
     line_of = _hamming(place - peak, 2 * half)[:, None] * derivative
-    cycles = np.arange(int(HIGHEST / OVERSAMPLING * 2 * half) + 1) / (2 * half)  # a bin
+    cycles = np.arange(int(HIGHEST_FREQUENCY / OVERSAMPLING * 2 * half) + 1) / (
+        2 * half
+    )  # a bin
     transform = np.exp(-2j * np.pi * np.outer(cycles, place)) @ line_of
     correction = np.minimum(1 / np.maximum(np.sinc(2 * cycles), 1e-9), MOST_CORRECTION)
     spectrum = transform @ mean
@@ -279,7 +283,7 @@ def _binned(bins: Floats, values: Floats, count: int) -> tuple[Floats, Floats]:
     bins = bins.astype(int)
     many = np.bincount(bins, minlength=count)
     filled = many > 0
-    about = filled[count // 2 - ABOUT : count // 2 + ABOUT]
+    about = filled[count // 2 - BINS_ABOUT_EDGE : count // 2 + BINS_ABOUT_EDGE]
     if not about.all():
         raise DataError(
             f"{1 - about.mean():.0%} of the quarter-pixel bins about the edge are empty: the method of ISO 12233 needs a "

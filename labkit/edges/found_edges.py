@@ -17,7 +17,7 @@ PIECE, SHORTEST, DEEP = 48.0, 20.0, 14.0
 
 MOST_UNEVEN_SIDE = 0.12  # of the step: a side's own standard deviation, where noise alone does not explain it
 BRIGHTEST, DARKEST = 99.8, 0.2  # percentiles that a picture is stretched between
-LEAST_STEP = 0.05  # of that stretch
+LEAST_EDGE_STEP = 0.05  # of that stretch
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def find_edges(
     good = [
         (start, end, rise)
         for (start, end), rise, even in judged
-        if even and abs(rise) > LEAST_STEP * scale
+        if even and abs(rise) > LEAST_EDGE_STEP * scale
     ]
     good.sort(key=lambda of: -abs(of[2]) * np.hypot(*(of[1] - of[0])))
     found: list[FoundEdge] = []

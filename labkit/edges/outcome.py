@@ -24,7 +24,7 @@ from labkit.uncertain import Uncertain
 
 CURVE_POINTS = 40
 DIGITS = 6
-FAR = 4.0
+DISAGREEMENT_STDS = 4.0
 """Standard errors of a difference, beyond which two methods disagree."""
 
 METHOD_SHARE = 0.12
@@ -70,7 +70,9 @@ class ChannelEdge:
         iso = None if self.iso is None else self.iso.mtf50
         if iso is None or not math.isfinite(iso.value - fit.value):
             return ""
-        allowed = FAR * math.hypot(fit.std, iso.std) + METHOD_SHARE * fit.value
+        allowed = (
+            DISAGREEMENT_STDS * math.hypot(fit.std, iso.std) + METHOD_SHARE * fit.value
+        )
         if abs(iso.value - fit.value) <= allowed:
             return ""
         return (

@@ -17,10 +17,10 @@ from labkit.uncertain import Uncertain
 
 AS_LIKELY = 20.0  # of twice a log-likelihood: a side that is less likely by more is none
 SAME_RANGE = 1.0  # standard errors: ranges nearer to each other are one
-FARTHEST_MM = 1e9
-STEPS = 6  # of Newton, in 1 / range
+FARTHEST_RANGE_MM = 1e9
+NEWTON_STEPS = 6  # of Newton, in 1 / range
 TINY = 1e-3  # share of a variance that colours do not have in common, whatever a correlation says
-NEAREST = 1.02  # focal lengths
+NEAREST_RANGE = 1.02  # focal lengths
 ZERO, FOCI = 3, 4
 """Of a law's numbers: logarithms of focal length, f-number and pupil magnification; the scale's zero; the best foci."""
 
@@ -70,8 +70,8 @@ class FocusLaw:
     def range_mm(self, channel: str, defocus: float) -> float:
         """Of a defocus, waves RMS: infinite where it lies beyond that of infinity."""
         near, far = (
-            max(NEAREST * self.lens.focal_length_mm - self.zero_mm, 1.0),
-            FARTHEST_MM,
+            max(NEAREST_RANGE * self.lens.focal_length_mm - self.zero_mm, 1.0),
+            FARTHEST_RANGE_MM,
         )
         if defocus >= self.defocus(channel, far):
             return np.inf
@@ -162,19 +162,20 @@ def _common_range(
 ) -> float:
     """By least squares in 1 / range, where the law is nearly straight; infinite where none has any."""
     own = [
-        min(law.range_mm(name, value), FARTHEST_MM)
+        min(law.range_mm(name, value), FARTHEST_RANGE_MM)
         for name, value in zip(names, defocus, strict=True)
     ]
     inverse = float(np.mean([1 / value for value in own]))
-    for _ in range(STEPS):
-        at = 1 / max(inverse, 1 / FARTHEST_MM)
+    for _ in range(NEWTON_STEPS):
+        at = 1 / max(inverse, 1 / FARTHEST_RANGE_MM)
         left = defocus - [law.defocus(name, at) for name in names]
         slope = np.array([-law.slope(name, at) * at**2 for name in names])
         inverse += float(slope @ weight @ left / (slope @ weight @ slope))
         inverse = min(
-            max(inverse, 1 / FARTHEST_MM), 1 / (NEAREST * law.lens.focal_length_mm)
+            max(inverse, 1 / FARTHEST_RANGE_MM),
+            1 / (NEAREST_RANGE * law.lens.focal_length_mm),
         )
-    return 1 / inverse if inverse > 2 / FARTHEST_MM else np.inf
+    return 1 / inverse if inverse > 2 / FARTHEST_RANGE_MM else np.inf
 
 
 def _error(

@@ -10,7 +10,7 @@ from labkit.edges.spread import camera_slice
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
-POINTS = 400
+RESPONSE_POINTS = 400
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ def fitted_response(fit: EdgeFit, k: int = 0) -> FittedResponse:
     """
     optics, region = fit.problem.optics_of(k), fit.problem.regions[k]
     highest = min(1 / optics.pitch_um, 1 / (optics.airy_um * min(optics.light.nodes)))
-    frequency = np.linspace(0, highest, POINTS)
+    frequency = np.linspace(0, highest, RESPONSE_POINTS)
     of = camera_slice(
         optics, fit.problem.waves(fit.state, k), fit.state.edge(k).angle, frequency
     )

@@ -18,10 +18,10 @@ from labkit.optics.mtf import steepness, turning_transfer_function
 from labkit.optics.wavefront import FittedWavefront
 from labkit.types import Complexes, Floats
 
-NODES, NODES_PER_STEEPNESS = 30, 0.75
+SLICE_NODES, NODES_PER_STEEPNESS = 30, 0.75
 """Of a slice's Chebyshev series in sqrt(1 - f lambda N), in which it is smooth to both ends: right to 1e-8 (tests hold it)."""
 
-PERIODS, LEAST_REACH = (
+SPREAD_PERIODS, LEAST_REACH = (
     8.0,
     150.0,
 )  # of the train, in reaches, of which each is at least so many lambda N
@@ -73,7 +73,7 @@ def _lens_slice(
     """In one light: its value, and its slopes by the modes and the azimuth; 0 beyond the cutoff."""
     wavefront = wavefront_of(optics, waves, node)
     cutoff = wavefront.cutoff_per_mm * 1e-3
-    count = NODES + int(NODES_PER_STEEPNESS * steepness(wavefront))
+    count = SLICE_NODES + int(NODES_PER_STEEPNESS * steepness(wavefront))
     angle = np.pi * (np.arange(count) + 0.5) / count
     at = ((1 + np.cos(angle)) / 2) ** 2  # 1 - f lambda N
     value, slopes = turning_transfer_function(
@@ -142,7 +142,7 @@ def edge_spread(
     if not reach_um > 0:
         raise ValueError(f"reach_um = {reach_um:g}: a distance above 0 is needed (um)")
     airy_um = optics.airy_um * min(optics.light.nodes) / optics.rim.reach
-    period_um = PERIODS * max(reach_um, LEAST_REACH * airy_um)
+    period_um = SPREAD_PERIODS * max(reach_um, LEAST_REACH * airy_um)
     harmonic = np.arange(1, int(period_um / airy_um) + 1, 2)
     of = camera_slice(optics, waves, azimuth, harmonic / period_um)
     size = scipy.fft.next_fast_len(int(FINER * period_um / airy_um), real=True)

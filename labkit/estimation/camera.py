@@ -21,13 +21,13 @@ from labkit.estimation.local import Optimum
 from labkit.estimation.scores import ScoreTest
 from labkit.estimation.settings import SETTINGS
 from labkit.imaging.parts import KNOWN
-from labkit.mode_groups import GROUPS
+from labkit.mode_groups import MODE_GROUPS
 from labkit.results.model import PartTried
 
-BLURS = ("low_pass_filter", "diffusion", "smear", "low_pass_filter_turned")
+ALIKE_BLURS = ("low_pass_filter", "diffusion", "smear", "low_pass_filter_turned")
 """Parts with the same blur to first order, the most common first."""
 
-STAND_INS = {"uneven_rim": "cats_eye"}
+TESTED_IN_PLACE = {"uneven_rim": "cats_eye"}
 """Parts that are looked for in place of others, whose likelihood is not regular where they are absent."""
 
 Parts = frozenset[str]
@@ -40,10 +40,10 @@ def cost(parts: Parts) -> float:
     By chance n numbers gain more than their penalty once in `1 / SETTINGS.part_chance` sessions: twice the gain is
     distributed as chi-squared with n degrees of freedom. A rarer blur must gain clearly more than the commonest one.
     """
-    rarer = parts & set(BLURS[1:])
+    rarer = parts & set(ALIKE_BLURS[1:])
     numbers = [len(KNOWN[name].labels) for name in parts - rarer if name in KNOWN]
-    numbers += [len(KNOWN[BLURS[0]].labels)] * len(rarer)
-    numbers += [len(GROUPS[name].noll) for name in parts if name in GROUPS]
+    numbers += [len(KNOWN[ALIKE_BLURS[0]].labels)] * len(rarer)
+    numbers += [len(MODE_GROUPS[name].noll) for name in parts if name in MODE_GROUPS]
     return sum(map(chance_gain, numbers)) + SETTINGS.clear_gain * len(rarer)
 
 
@@ -64,7 +64,7 @@ def summed_score_tests(fits: Sequence[tuple[str, Optimum]]) -> dict[str, ScoreTe
     names = [
         name
         for name in dict.fromkeys(chain(*tests))
-        if name in GROUPS or KNOWN[name].of_rim or all(name in of for of in tests)
+        if name in MODE_GROUPS or KNOWN[name].of_rim or all(name in of for of in tests)
     ]
     whole = {
         name: reduce(ScoreTest.__add__, (of[name] for of in tests if name in of))
@@ -91,14 +91,14 @@ def wald_losses(fits: Sequence[Measured]) -> dict[str, float]:
     losses = dict[str, float]()
     for measured in fits:
         labels = [label.split(".")[0] for label in measured.parts]
-        groups = [n for n in GROUPS if GROUPS[n].last in measured.noll]
+        groups = [n for n in MODE_GROUPS if MODE_GROUPS[n].last in measured.noll]
         numbers = {
             name: len(measured.noll) + np.flatnonzero([one == name for one in labels])
             for name in dict.fromkeys(labels)
             if name in KNOWN
         }
         for name in groups[-1:]:
-            numbers[name] = np.flatnonzero(np.isin(measured.noll, GROUPS[name].noll))
+            numbers[name] = np.flatnonzero(np.isin(measured.noll, MODE_GROUPS[name].noll))
         for name, at in numbers.items():
             values, covariance = measured.values[at], measured.covariance[np.ix_(at, at)]
             losses[name] = losses.get(name, 0.0) + 0.5 * float(
@@ -109,17 +109,17 @@ def wald_losses(fits: Sequence[Measured]) -> dict[str, float]:
 
 def extended(parts: Parts, name: str) -> Parts:
     """Return a choice with a further part, or with all groups of modes up to one."""
-    if name not in GROUPS:
+    if name not in MODE_GROUPS:
         return parts | {name}
-    groups = list(GROUPS)
+    groups = list(MODE_GROUPS)
     return parts | set(groups[: groups.index(name) + 1])
 
 
 def kind(name: str) -> str:
     """Return what a part or a group of modes is an example of: parts of one kind explain the same."""
-    if name in GROUPS:
+    if name in MODE_GROUPS:
         return "modes"
-    return "blur" if name in BLURS else KNOWN[name].kind or name
+    return "blur" if name in ALIKE_BLURS else KNOWN[name].kind or name
 
 
 def _explained(fits: Iterable[Optimum]) -> int:
@@ -231,10 +231,12 @@ class CameraChoice:
         for name in sorted(net, key=lambda one: (not (least and _far(one)), -net[one])):
             if net[name] > 0:
                 yield extended(parts, name)
-        for name in STAND_INS.keys() & parts:
-            yield (parts - {name}) | {STAND_INS[name]}
-        for name in [one for one in BLURS if one in parts]:
-            more_common = [one for one in BLURS[: BLURS.index(name)] if one in tests]
+        for name in TESTED_IN_PLACE.keys() & parts:
+            yield (parts - {name}) | {TESTED_IN_PLACE[name]}
+        for name in [one for one in ALIKE_BLURS if one in parts]:
+            more_common = [
+                one for one in ALIKE_BLURS[: ALIKE_BLURS.index(name)] if one in tests
+            ]
             for one in more_common:
                 yield (parts - {name}) | {one}
             if len(more_common) > 1 and sum(
@@ -274,8 +276,8 @@ class CameraChoice:
     def _telling(self, ends: Mapping[int, tuple[str, Optimum]], names: Parts) -> list[int]:
         """Return the fits with the most significant score tests, or estimates, of some parts."""
 
-        leading = [name for name in names if name not in GROUPS]
-        leading += [name for name in GROUPS if name in names][-1:]
+        leading = [name for name in names if name not in MODE_GROUPS]
+        leading += [name for name in MODE_GROUPS if name in names][-1:]
 
         def shown(k: int) -> float:
             optimum = ends[k][1]

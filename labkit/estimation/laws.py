@@ -13,10 +13,10 @@ FOCAL_LENGTH = "focal length"
 F_NUMBER = "f-number"
 MAGNIFICATION = "pupil magnification"
 RANGE_ZERO = "tape"  # a key of results.json, where a joint climb is compared
-HOMING = "homing"
-STEPS = "steps"
+HOMING_LABEL = "homing"
+STEPS_LABEL = "steps"
 SIZE = "target size"
-PITCH = "pixel pitch"
+PIXEL_PITCH = "pixel pitch"
 WORKING_F_NUMBER = "cone"
 FOCUS = "best focus"
 AXIAL_COLOUR = "axial colour"
@@ -26,7 +26,16 @@ PART = "part"
 COMMON_MODE = "common mode"
 MODE = "mode"
 
-GEOMETRY = (FOCAL_LENGTH, F_NUMBER, MAGNIFICATION, RANGE_ZERO, HOMING, STEPS, SIZE, PITCH)
+GEOMETRY = (
+    FOCAL_LENGTH,
+    F_NUMBER,
+    MAGNIFICATION,
+    RANGE_ZERO,
+    HOMING_LABEL,
+    STEPS_LABEL,
+    SIZE,
+    PIXEL_PITCH,
+)
 OPEN = (FOCUS, AXIAL_COLOUR, LATERAL_COLOUR, PART, COMMON_MODE, MODE)
 """Columns that are unknown before the session: their prior is not a measurement."""
 

@@ -13,7 +13,7 @@ from scipy.special import ndtri
 from labkit.estimation.estimate import Estimate
 from labkit.estimation.scores import ScoreTest
 from labkit.imaging.parts import SpectrumWidth
-from labkit.optics.spectrum import WIDEST
+from labkit.optics.spectrum import WIDEST_SPECTRUM
 from labkit.plan import Plan
 
 ONE_SIDED = float(ndtri(0.95))
@@ -45,4 +45,6 @@ def widest_light_nm(session: Estimate, plan: Plan) -> dict[str, float]:
 def _most(test: ScoreTest) -> float:
     """Return the upper limit relative to the wavelength; a negative estimate of the variance counts as 0."""
     (square,), (information,) = test.step, test.information.diagonal()
-    return min(float(np.sqrt(max(square, 0.0) + ONE_SIDED * information**-0.5)), WIDEST)
+    return min(
+        float(np.sqrt(max(square, 0.0) + ONE_SIDED * information**-0.5)), WIDEST_SPECTRUM
+    )

@@ -17,7 +17,7 @@ import numpy as np
 from labkit.estimation.laws import (
     F_NUMBER,
     FOCAL_LENGTH,
-    PITCH,
+    PIXEL_PITCH,
     RANGE_ZERO,
     SIZE,
     WAVELENGTH,
@@ -29,7 +29,7 @@ from labkit.estimation.settings import SETTINGS
 
 def possible_mistakes(channels: Sequence[str]) -> Iterator[Place]:
     """Yield the column of each number that may be a mistake; the wavelengths of several channels may be so together."""
-    for kind in (F_NUMBER, FOCAL_LENGTH, SIZE, PITCH, RANGE_ZERO):
+    for kind in (F_NUMBER, FOCAL_LENGTH, SIZE, PIXEL_PITCH, RANGE_ZERO):
         yield kind, ()
     for channel in channels:
         yield WAVELENGTH, (channel,)

@@ -13,7 +13,7 @@ from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import optics_of
 from labkit.imaging.optics import Optics
 from labkit.imaging.parts import KNOWN
-from labkit.mode_groups import GROUPS
+from labkit.mode_groups import MODE_GROUPS
 from labkit.plan import Plan
 
 
@@ -81,7 +81,7 @@ def with_tests(guess: Guesses, optics: Optics, plan: Plan) -> Guesses:
     Tests for modes and for the pupil's rim take longer than those for other parts. Predicted fits are tested for them only if
     they are not explained.
     """
-    modes = tuple(n for n in plan.fit.mode_groups if GROUPS[n].last not in optics.noll)
+    modes = tuple(n for n in plan.fit.mode_groups if MODE_GROUPS[n].last not in optics.noll)
     rims = tuple(name for name in optics.lacking if KNOWN[name].of_rim)
     parts = tuple(name for name in optics.lacking if name not in rims)
     if guess.starts or guess.modes:

@@ -27,7 +27,7 @@ LAGS = (
     (2, 2),
     (2, -2),
 )  # rows and columns, in pixels
-BINS = 12
+RADIAL_BINS = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +132,7 @@ def _product(image: Floats, lag: tuple[int, int]) -> Floats:
 
 def residual_frequencies(frames: Sequence[FrameData]) -> Floats:
     """Return the frequencies of `residual_spectrum`, (BINS,) cycles per pixel: middles of evenly spaced rings."""
-    return (np.arange(BINS) + 0.5) * _highest(frames) / BINS
+    return (np.arange(RADIAL_BINS) + 0.5) * _highest(frames) / RADIAL_BINS
 
 
 def residual_spectrum(
@@ -152,17 +152,17 @@ def residual_spectrum(
     -------
     (BINS,) power averaged over rings of frequencies and over frames; 1 for noise alone
     """
-    highest, total = _highest(frames), np.zeros(BINS)
+    highest, total = _highest(frames), np.zeros(RADIAL_BINS)
     for frame, image, detector in zip(frames, relative, detectors, strict=True):
         mean, variance = predict(image, frame, detector)
         rest = np.zeros(frame.used.shape)
         rest[frame.used] = (frame.counts[frame.used] - mean) / np.sqrt(variance)
         power = np.abs(np.fft.fft2(rest)) ** 2 / mean.size
         at = np.hypot(*np.meshgrid(*map(np.fft.fftfreq, rest.shape), indexing="ij"))
-        rings = np.digitize(at, np.linspace(0, highest, BINS + 1)) - 1
-        inside = rings < BINS
-        total += np.bincount(rings[inside], power[inside], BINS) / np.maximum(
-            np.bincount(rings[inside], minlength=BINS), 1
+        rings = np.digitize(at, np.linspace(0, highest, RADIAL_BINS + 1)) - 1
+        inside = rings < RADIAL_BINS
+        total += np.bincount(rings[inside], power[inside], RADIAL_BINS) / np.maximum(
+            np.bincount(rings[inside], minlength=RADIAL_BINS), 1
         )
     return total / len(frames)
 

@@ -18,7 +18,7 @@ from labkit.estimation.identifiability import inverse
 from labkit.estimation.settings import SETTINGS
 from labkit.imaging.optics import Optics
 from labkit.imaging.parts import KNOWN
-from labkit.mode_groups import GROUPS
+from labkit.mode_groups import MODE_GROUPS
 from labkit.optics.zernike import twin_signs
 from labkit.types import Floats
 
@@ -74,9 +74,14 @@ def twin_scores(scores: Mapping[str, ScoreTest]) -> dict[str, ScoreTest]:
 
 
 def _signs(name: str, test: ScoreTest) -> Floats:
-    if name not in GROUPS:
+    if name not in MODE_GROUPS:
         return np.array(KNOWN[name].twin_signs)
-    modes = [j for group in GROUPS.values() for j in group.noll if j <= GROUPS[name].last]
+    modes = [
+        j
+        for group in MODE_GROUPS.values()
+        for j in group.noll
+        if j <= MODE_GROUPS[name].last
+    ]
     return twin_signs(modes[-test.slope.size :])
 
 
@@ -125,8 +130,8 @@ def _added(without: Optics, names: Sequence[str]) -> dict[str, NDArray[np.intp]]
     """Return the places of each added group's numbers among all parameters: modes behind modes, parts behind parts."""
     places = dict[str, NDArray[np.intp]]()
     begin = at = len(without.noll)
-    for name in [name for name in GROUPS if name in names]:
-        at += len(GROUPS[name].noll)
+    for name in [name for name in MODE_GROUPS if name in names]:
+        at += len(MODE_GROUPS[name].noll)
         places[name] = np.arange(begin, at)
     at += sum(len(part.labels) for part in without.parts)
     for name in [name for name in KNOWN if name in names]:

@@ -23,7 +23,7 @@ from labkit.estimation.stated import Stated, nominal_f_number, optics_of, wanted
 from labkit.execute import Run
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
-from labkit.mode_groups import GROUPS
+from labkit.mode_groups import MODE_GROUPS
 from labkit.plan import Plan
 from labkit.target import Target
 from labkit.types import Floats, Progress
@@ -112,7 +112,7 @@ class _Loop:
     @property
     def _camera_parts(self) -> Parts:
         """Camera parts in the model that the plan does not state."""
-        return self.parts - GROUPS.keys()
+        return self.parts - MODE_GROUPS.keys()
 
     # the loop
 

@@ -19,11 +19,9 @@ from labkit.estimation.settings import SETTINGS
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.optics.psf import Pupil
+from labkit.optics.strehl import TILTS
 from labkit.target import Target
 from labkit.types import Floats, Floats32
-
-TILTS = (2, 3)
-"""Noll's numbers of the tilts."""
 
 
 @dataclass(frozen=True, eq=False)

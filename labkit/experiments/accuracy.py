@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from labkit.estimation.climb import maximize
 from labkit.experiments.conditions import draw_trial, random_waves
 from labkit.experiments.runner import Claim, Outcome, Setting, all_answers
-from labkit.figure_style import SOFT
+from labkit.figure_style import SOFT_INK
 from labkit.types import Floats
 
 SNRS = (5.0, 10.0, 20.0, 40.0, 75.0, 150.0)
@@ -135,8 +135,8 @@ def draw(rows: list[dict[str, Any]]) -> Figure:
         ":",
         label="the same expected of chance",
     )
-    axes.axhline(MARECHAL_WAVES, color=SOFT, linewidth=0.8)
-    axes.text(snr[0], MARECHAL_WAVES * 1.08, "Maréchal: 1/14 wave", color=SOFT)
+    axes.axhline(MARECHAL_WAVES, color=SOFT_INK, linewidth=0.8)
+    axes.text(snr[0], MARECHAL_WAVES * 1.08, "Maréchal: 1/14 wave", color=SOFT_INK)
     axes.set(
         xlabel="SNR",
         ylabel="waves RMS",

@@ -20,7 +20,7 @@ from labkit.edges.region import Region
 from labkit.estimation.climb import NoisePrior
 from labkit.experiments.edge_camera import EdgeCamera
 from labkit.experiments.runner import Claim, Outcome, Setting, all_answers
-from labkit.figure_style import SOFT
+from labkit.figure_style import SOFT_INK
 from labkit.imaging.optics import Optics
 from labkit.optics.lens import ThinLens, defocus_waves
 from labkit.types import Floats
@@ -262,7 +262,7 @@ def _drawn(every: list[Ranged]) -> Figure:
     at = np.linspace(4000, 9000, 200)
     slope = np.gradient(defocus_waves(LENS, at, FOCUS_MM, WAVELENGTH_NM), at)
     left.plot(
-        at / 1000, DEFOCUS_WAVES / slope, color=SOFT, label="0.01 waves RMS of defocus"
+        at / 1000, DEFOCUS_WAVES / slope, color=SOFT_INK, label="0.01 waves RMS of defocus"
     )
     for range_mm, thesis, colour in zip(
         RANGES_MM, THESIS_ERRORS_MM, ("#0072b2", "#d55e00"), strict=True

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from labkit.errors import InputError
 from labkit.experiments.camera import Camera
-from labkit.experiments.methods.restoration_baselines import METHODS, interpolated, psf_of
+from labkit.experiments.methods.restoration_baselines import BASELINES, interpolated, psf_of
 from labkit.experiments.picture_camera import PictureCamera
 from labkit.experiments.runner import Claim, Outcome, Setting, all_answers
 from labkit.figure_style import panels
@@ -242,7 +242,7 @@ def _best(name: str, job: Job, truth: Floats) -> Floats:
     """Return another method's scene with the setting nearest the truth; stop once settings get worse."""
     blurred, psf = interpolated(job, 0) / WHITE, psf_of(job, 0)
     reach, best, least = GUARD * job.samples, blurred, np.inf
-    wide, method = np.pad(blurred, reach, mode="reflect"), METHODS[name]
+    wide, method = np.pad(blurred, reach, mode="reflect"), BASELINES[name]
     for setting in GRANTED[name]:
         found = method(wide, psf, setting)[reach:-reach, reach:-reach]
         error = float(np.mean((found - truth) ** 2))

@@ -17,7 +17,7 @@ from labkit.experiments.sinusoid import (
     relaxation,
     two_sided,
 )
-from labkit.figure_style import SOFT
+from labkit.figure_style import SOFT_INK
 from labkit.types import Floats, Progress, no_progress
 
 SEED = 4
@@ -72,7 +72,7 @@ def draw(alarms: Floats, curves: dict[str, Floats]) -> Figure:
     axes = figure.subplots()
     for name, curve in curves.items():
         axes.plot(alarms, curve, label=name)
-    axes.plot([0, 1], [0, 1], color=SOFT, linewidth=0.8, linestyle=":")
+    axes.plot([0, 1], [0, 1], color=SOFT_INK, linewidth=0.8, linestyle=":")
     axes.set(
         xlabel="false alarms",
         ylabel="wrong optima detected",

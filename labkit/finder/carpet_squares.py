@@ -15,10 +15,10 @@ from labkit.types import Floats
 
 Singles = NDArray[np.float32]
 
-LEVELS = (0.75, 0.65, 0.55, 0.45, 0.35)
+THRESHOLDS = (0.75, 0.65, 0.55, 0.45, 0.35)
 """Thresholds tried, as fractions of the picture's range."""
 
-LEAST_SIDE_PX = 6.0
+LEAST_SQUARE_SIDE_PX = 6.0
 
 SEARCH_SIDE = 1200
 """A picture of more than twice this many pixels across is binned down before it is searched."""
@@ -83,7 +83,7 @@ def square_hypotheses(image: Singles, side_fraction: float) -> Iterator[Floats]:
 
 def _thresholded(image: Singles) -> Iterator[NDArray[np.uint8]]:
     smooth = cv2.GaussianBlur(image, (0, 0), 0.8)
-    for level in LEVELS:
+    for level in THRESHOLDS:
         yield (smooth > level).astype(np.uint8)
     # uneven light: against the mean of the neighbourhood
     for divisor in (2, 5):
@@ -96,14 +96,14 @@ def _quadrilateral(contour: NDArray[np.int32]) -> Floats | None:
     None.
     """
     length = cv2.arcLength(contour, True)
-    if length < 4 * LEAST_SIDE_PX:
+    if length < 4 * LEAST_SQUARE_SIDE_PX:
         return None
     coarse = cv2.approxPolyDP(contour, 0.06 * length, True)
     if len(coarse) != 4 or not cv2.isContourConvex(coarse):
         return None
     corners = coarse[:, 0, :].astype(np.float64)
     sides = np.linalg.norm(corners - np.roll(corners, -1, axis=0), axis=1)
-    if sides.min() < LEAST_SIDE_PX or sides.max() > 2.0 * sides.min():
+    if sides.min() < LEAST_SQUARE_SIDE_PX or sides.max() > 2.0 * sides.min():
         return None
     if abs(_area(corners) - cv2.contourArea(contour)) > 0.2 * _area(corners):
         return None

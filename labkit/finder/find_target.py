@@ -41,7 +41,7 @@ better: of a carpet partly outside a smaller one, whole, reaches 0.94, one far o
 SCALE_TOLERANCE = 0.15
 """How far `mm_per_pixel` may be off."""
 
-LEAST_SIDE_PX = 12.0
+LEAST_TARGET_SIDE_PX = 12.0
 """A quadrilateral with a shorter side is a sliver: stretched, any edge of a picture looks like a target far out of focus.
 The sweep looks for targets of 16 pixels and more; registration may shrink one by a quarter of that."""
 
@@ -50,7 +50,7 @@ MOST_HYPOTHESES = 12
 MOST_OUTSIDE = 0.05
 """Share of a target's side that may lie outside the frame: what is there is known, and modelled."""
 
-LEAST_CONTRAST = 1.3
+LEAST_TARGET_CONTRAST = 1.3
 """Bright over dark, below which a picture shows no target. Prints have 5 at the least; an even panel stays below 1.2,
 and stretched to black and white its fading corners look like a small carpet far out of focus."""
 
@@ -139,7 +139,7 @@ def grey_image(counts: ArrayLike, pattern: Sequence[str]) -> Floats:
             grey[row::height, col::width] = _normalised(plane)
             dark, bright = np.nanpercentile(plane, (0.5, 99.5))
             contrast = max(contrast, bright / dark if dark > 0 else np.inf)
-    if contrast < LEAST_CONTRAST:
+    if contrast < LEAST_TARGET_CONTRAST:
         raise TargetError(
             f"no target found in the frame: it is nearly even, bright parts {contrast:.2f} times as bright as dark ones; "
             "is the target shown, or white?"
@@ -226,7 +226,9 @@ def _believable(agreement: Agreement) -> bool:
 def _whole(corners: Floats) -> bool:
     """Whether a quadrilateral is convex, and no sliver."""
     shortest = float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).min())
-    return shortest >= LEAST_SIDE_PX and cv2.isContourConvex(corners.astype(np.float32))
+    return shortest >= LEAST_TARGET_SIDE_PX and cv2.isContourConvex(
+        corners.astype(np.float32)
+    )
 
 
 def _right_scale(

@@ -12,7 +12,7 @@ from labkit.photographs.photograph import Photograph
 from labkit.plan.sensor import IN_COLOURS
 from labkit.types import Floats
 
-PREVIEW_PX = 900
+JPEG_PREVIEW_PX = 900
 RED, CYAN, BLACK = (40, 40, 230), (255, 220, 40), (0, 0, 0)
 """Blue, green, red: of a clipped pixel, of the outline, and of what sets that off from white."""
 
@@ -36,7 +36,7 @@ class Look:
 def jpeg(mosaic: Photograph, corners_px: Floats | None = None) -> bytes:
     """Return a JPEG at most 900 pixels wide; patches with a clipped pixel are red, a target is outlined."""
     level, full = _cells(mosaic)
-    scale = min(1.0, PREVIEW_PX / level.shape[1])
+    scale = min(1.0, JPEG_PREVIEW_PX / level.shape[1])
     size = max(1, round(level.shape[1] * scale)), max(1, round(level.shape[0] * scale))
     small = cv2.resize(level, size, interpolation=cv2.INTER_AREA)
     grey = np.rint(255 * np.clip(small, 0, 1) ** (1 / 2.2)).astype(np.uint8)
@@ -56,7 +56,7 @@ def _outline(picture: NDArray[np.uint8], corners: Floats) -> None:
     shift = 4  # OpenCV's fixed point
     points = np.rint(corners * 2**shift).astype(np.int32).reshape(1, -1, 2)
     line = (
-        2 if max(picture.shape) > PREVIEW_PX // 2 else 1
+        2 if max(picture.shape) > JPEG_PREVIEW_PX // 2 else 1
     )  # a smaller picture is shown enlarged
     for colour, thickness in ((BLACK, line + 2), (CYAN, line)):
         cv2.polylines(picture, [points], True, colour, thickness, cv2.LINE_AA, shift)

@@ -17,10 +17,10 @@ from labkit.types import Floats
 
 Singles = NDArray[np.float32]
 
-WORKING_SIDE = 320
+REGISTRATION_SIDE = 320
 """Pixels across the target at which it is registered: a larger picture is binned down to about this."""
 
-BLURS = (0.6, 1.2, 2.4, 4.8)
+TRIED_BLURS = (0.6, 1.2, 2.4, 4.8)
 """Standard deviations of the blurs tried for the unknown lens, in pixels at the working size."""
 
 MOST_LARGER = (
@@ -72,11 +72,11 @@ def register(image: Singles, target: Target, corners: Floats) -> tuple[Floats, A
     image: (rows, cols). The homography maximises the enhanced correlation coefficient
     (Evangelidis and Psarakis, PAMI 30, 2008) with the target, at the best of a few blurs.
     """
-    factor = max(1, round(_side(corners) / WORKING_SIDE))
+    factor = max(1, round(_side(corners) / REGISTRATION_SIDE))
     picture, at = _prepared(image, corners, factor)
     template = _render(target, _side(at))
     at_first = at.copy()
-    sigma = max(BLURS[1], _side(at) / 80)
+    sigma = max(TRIED_BLURS[1], _side(at) / 80)
     for light in (15, 9, 5):
         at = _ecc(picture, _lit(picture, template, at, sigma), at, sigma, light)
         sigma = _best_blur(picture, template, at)
@@ -93,7 +93,7 @@ def quick_agreement(
     factor = max(1, round(_side(corners) / side))
     picture, at = _prepared(image, corners, factor)
     template = _render(target, _side(at))
-    return _agreement(picture, template, at, BLURS[1]).whole
+    return _agreement(picture, template, at, TRIED_BLURS[1]).whole
 
 
 def parent_agreement(image: Singles, target: Target, corners: Floats) -> float:
@@ -116,7 +116,9 @@ def parent_agreement(image: Singles, target: Target, corners: Floats) -> float:
             picture, at = binned(image, factor), (large + 0.5) / factor - 0.5
             template = _render(target, _side(at))
             hidden = (corners + 0.5) / factor - 0.5
-            best = max(best, _agreement(picture, template, at, BLURS[1], hidden).whole)
+            best = max(
+                best, _agreement(picture, template, at, TRIED_BLURS[1], hidden).whole
+            )
     return best
 
 
@@ -256,7 +258,7 @@ def _lit(picture: Singles, template: _Template, corners: Floats, sigma: float) -
 def _best_blur(picture: Singles, template: _Template, corners: Floats) -> float:
     warped, in_frame = _aligned(picture, template, corners)
     return max(
-        BLURS,
+        TRIED_BLURS,
         key=lambda sigma: _correlation(
             warped, template.blurred(np.hypot(sigma, LIGHT_BLUR)), in_frame
         ),

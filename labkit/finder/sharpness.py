@@ -14,26 +14,26 @@ from labkit.photographs.photograph import Photograph
 from labkit.target import Target
 from labkit.types import Counts, Floats
 
-FINEST_PX, STEP = 0.8, 1.15
+FINEST_PX, BLUR_FACTOR = 0.8, 1.15
 """Blur circles are tried from this diameter on, each larger than the last by this factor."""
 
 LIT_CELLS = 200
 """Across a photograph, when its lit part is looked for."""
 
-MOST_ROWS = 1024
+MOST_LIT_ROWS = 1024
 """Of the lit part, about its middle: a photograph of 24 million pixels is then looked at within a second."""
 
 LARGEST_SHARE = 0.3
 """Of the target's side: a larger blur leaves no structure."""
 
-WORKING_SIDE = 500
+BLUR_SIDE = 500
 """Pixels across the target at most when the blur is measured; a blur that matters is wide in a larger picture too."""
 
 
 def sharpest_edge_px(mosaic: Photograph) -> float | None:
     """Return edge_px of the lit part of a photograph; None for a nearly even image, such as a flat."""
     (top, bottom), (left, right) = _lit_part(mosaic.counts)
-    spare = max(0, bottom - top - MOST_ROWS) // 4 * 2
+    spare = max(0, bottom - top - MOST_LIT_ROWS) // 4 * 2
     top, bottom = top + spare, bottom - spare
     part = replace(mosaic, counts=mosaic.counts[top:bottom, left:right])
     try:
@@ -92,7 +92,7 @@ def blur_px(image: ArrayLike, target: Target, corners: Floats) -> float:
     focus the circle is the pupil's shadow, thesis (E.9).
     """
     side = float(np.mean(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1)))
-    scale = min(1.0, WORKING_SIDE / side)
+    scale = min(1.0, BLUR_SIDE / side)
     rows, cols = (
         max(9, round(side * scale * side_mm / float(np.mean(target.size_mm))))
         for side_mm in target.size_mm
@@ -102,9 +102,9 @@ def blur_px(image: ArrayLike, target: Target, corners: Floats) -> float:
     x = ((np.arange(cols) + 0.5) / cols - 0.5) * target.size_mm[1]
     sharp = target.sample(y, x, 0.4 * rows / target.size_mm[0]).astype(np.float32)
     count = max(
-        2, round(np.log(LARGEST_SHARE * min(rows, cols) / FINEST_PX) / np.log(STEP))
+        2, round(np.log(LARGEST_SHARE * min(rows, cols) / FINEST_PX) / np.log(BLUR_FACTOR))
     )
-    diameters = FINEST_PX * STEP ** np.arange(count)
+    diameters = FINEST_PX * BLUR_FACTOR ** np.arange(count)
     agreement = [
         _correlation(straightened, _out_of_focus(sharp, float(diameter)))
         for diameter in diameters

@@ -19,7 +19,7 @@ COARSE_SIDE = 64
 BLUR_PX = 1.2
 """Blur of both there: it widens the peak, so that the steps of scale and angle may be coarse."""
 
-LEAST_CONTRAST = 0.01
+LEAST_DEVIATION = 0.01
 """Standard deviation, of a picture from 0 to 1, where a target may be: JPEG makes dark parts perfectly even."""
 
 TILTS_DEG = np.linspace(-15.0, 15.0, 11)
@@ -74,7 +74,7 @@ def _likeness(picture: Singles, template: Singles) -> Singles:
         for values in (picture, picture**2)
     )
     return np.asarray(
-        np.where(square - mean**2 > LEAST_CONTRAST**2, likeness, 0.0), dtype=np.float32
+        np.where(square - mean**2 > LEAST_DEVIATION**2, likeness, 0.0), dtype=np.float32
     )
 
 

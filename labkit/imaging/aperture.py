@@ -11,7 +11,7 @@ from labkit.panel.drawn_target import USUAL_APERTURE
 from labkit.plan import Channel, Plan
 from labkit.uncertain import Uncertain
 
-LEAST = 0.02
+LEAST_APERTURE_SHARE = 0.02
 """An aperture that a step would make smaller than this is drawn as this: it has to be above 0."""
 
 
@@ -48,8 +48,8 @@ class Aperture(Estimated):
     @property
     def lit(self) -> tuple[float, float]:
         """Across and down: shares of a third of a pixel, and of a pixel."""
-        return max(USUAL_APERTURE + self.across, LEAST), max(
-            USUAL_APERTURE + self.down, LEAST
+        return max(USUAL_APERTURE + self.across, LEAST_APERTURE_SHARE), max(
+            USUAL_APERTURE + self.down, LEAST_APERTURE_SHARE
         )
 
     def at(self, values: Sequence[float]) -> Self:

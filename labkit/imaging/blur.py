@@ -20,7 +20,7 @@ from labkit.types import AnyComplexes, AnyFloats, Complexes, Complexes64, Floats
 AnyArray = TypeVar("AnyArray", Floats, Complexes, Complexes64, AnyComplexes)
 """A half plane of any kind."""
 
-STEP = 1e-5  # of a rim's number, in its differences: 1e-3 samples of a pupil
+RIM_STEP = 1e-5  # of a rim's number, in its differences: 1e-3 samples of a pupil
 
 
 @dataclass(frozen=True)
@@ -263,7 +263,7 @@ class Blur:
         """
         part, values = self.parts[k], np.array(self.parts[k].values)
         rest = (*self.given, *self.parts[:k]), self.parts[k + 1 :]
-        for step in STEP * np.eye(len(values)):
+        for step in RIM_STEP * np.eye(len(values)):
             above, below = part.at(values + step), part.at(values - step)
             apart = np.linalg.norm(np.subtract(above.values, below.values))
             yield (

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from labkit.types import Bools, Floats
 
-ORDER = 3  # of the polynomial: a panel's light changes little over a target
+POLYNOMIAL_ORDER = 3  # of the polynomial: a panel's light changes little over a target
 SHARE_STD = (
     0.5  # of the light's unevenness, by how much it is not the target's own but the lens's
 )
@@ -31,7 +31,10 @@ class Brightness:
         down, right = (
             _powers(at, n) for at, n in zip(np.nonzero(used), used.shape, strict=True)
         )
-        low = np.add.outer(np.arange(ORDER + 1), np.arange(ORDER + 1)) <= ORDER
+        low = (
+            np.add.outer(np.arange(POLYNOMIAL_ORDER + 1), np.arange(POLYNOMIAL_ORDER + 1))
+            <= POLYNOMIAL_ORDER
+        )
         terms = np.array([down[i] * right[j] for i, j in np.argwhere(low)])
         coefficients = np.zeros(low.shape)
         coefficients[low] = np.linalg.lstsq(
@@ -89,5 +92,6 @@ class Brightness:
 def _powers(at: Floats | NDArray[np.intp], size: int) -> Floats:
     """Return (4, n) powers of places (n,) along an axis of a frame, from -1 to 1."""
     return np.asarray(
-        np.clip(2 * at / max(size - 1, 1) - 1, -1, 1) ** np.arange(ORDER + 1)[:, None]
+        np.clip(2 * at / max(size - 1, 1) - 1, -1, 1)
+        ** np.arange(POLYNOMIAL_ORDER + 1)[:, None]
     )

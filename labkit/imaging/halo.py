@@ -13,11 +13,11 @@ from labkit.optics.psf import diffraction_mtf
 from labkit.target import Target
 from labkit.types import Floats
 
-STRAY = (
+POSE_MARGIN = (
     0.05  # of the target's size, by which it may stand or end elsewhere than the reference
 )
-SMOOTH = 0.12  # cycles a pixel, at 1/e of a Gaussian: light from so far away is smooth, over tens of pixels
-ROUGH_BAND = 0.45  # cycles a pixel: there the Gaussian has fallen to 1e-6
+HALO_FREQUENCY = 0.12  # cycles a pixel, at 1/e of a Gaussian: light from so far away is smooth, over tens of pixels
+HALO_BAND = 0.45  # cycles a pixel: there the Gaussian has fallen to 1e-6
 
 
 def perfect_lens(torus: Torus, airy_um: float) -> Floats:
@@ -54,7 +54,7 @@ def guards(frame: tuple[int, int], reference: Pose, reach_px: float) -> tuple[in
     the target may come around.
     """
     corners = reference.corners_px()
-    stray = STRAY * np.ptp(corners, axis=0)
+    stray = POSE_MARGIN * np.ptp(corners, axis=0)
     low = np.maximum(corners.min(axis=0) - stray, -reach_px)
     high = np.minimum(corners.max(axis=0) + stray, np.array(frame) + reach_px)
     rows, columns = np.maximum(np.maximum(-low, high - frame) + reach_px, 0.0)
@@ -70,7 +70,7 @@ def wrapped_light(
     wavefront: it is the difference between two rough images, one on the torus, one on a
     torus twice as large.
     """
-    rough = replace(torus, oversampling=1, band_limit_per_um=ROUGH_BAND / torus.pitch_um)
+    rough = replace(torus, oversampling=1, band_limit_per_um=HALO_BAND / torus.pitch_um)
     twice = replace(
         rough,
         pixels=(2 * torus.pixels[0], 2 * torus.pixels[1]),
@@ -86,7 +86,7 @@ def wrapped_light(
         shown = image[low[0] : low[0] + each.pixels[0], low[1] : low[1] + each.pixels[1]]
         smooth = np.exp(
             -(np.hypot(each.row_frequency, each.column_frequency) ** 2)
-            * (torus.pitch_um / SMOOTH) ** 2
+            * (torus.pitch_um / HALO_FREQUENCY) ** 2
         )
         pixel = np.sinc(each.row_frequency * active_um) * np.sinc(
             each.column_frequency * active_um

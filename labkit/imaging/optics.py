@@ -14,7 +14,7 @@ from labkit.imaging.aperture import Aperture
 from labkit.imaging.estimated import Estimated
 from labkit.imaging.parts import KNOWN, Part, SpectrumWidth, rim_of
 from labkit.imaging.window import window_for
-from labkit.mode_groups import GROUPS, ModeGroup
+from labkit.mode_groups import MODE_GROUPS, ModeGroup
 from labkit.optics.rim import Rim
 from labkit.optics.spectrum import Spectrum
 from labkit.types import Floats
@@ -22,7 +22,7 @@ from labkit.types import Floats
 ESTIMATED: dict[str, Estimated] = {**KNOWN, Aperture.name: Aperture()}
 """Groups of numbers that results may hold, by name."""
 
-OPTIONAL: dict[str, Part | ModeGroup] = {**KNOWN, **GROUPS}
+OPTIONAL_PARTS: dict[str, Part | ModeGroup] = {**KNOWN, **MODE_GROUPS}
 """Parts and groups of modes that a session may add to its model, by name."""
 
 
@@ -158,7 +158,7 @@ class Optics:
     def with_parts(self, names: Collection[str]) -> Optics:
         """Return the optics with further known parts, which do nothing yet, and with further groups of modes."""
         parts = (part for name, part in KNOWN.items() if name in names)
-        modes = (group.noll for name, group in GROUPS.items() if name in names)
+        modes = (group.noll for name, group in MODE_GROUPS.items() if name in names)
         return replace(
             self,
             parts=(*self.parts, *parts),

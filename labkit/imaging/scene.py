@@ -21,7 +21,7 @@ SUPERSAMPLING = 2.2
 # 1.3 times that: farther out it would fold back on a torus whose Nyquist frequency is hardly more than the cutoff.
 # tests/physics/test_scene.py holds the whole to the closed form
 BAND_SHARE = 0.9
-AT_ONCE = 8_000_000  # samples of a raster that are made together, 64 MB
+SAMPLES_AT_ONCE = 8_000_000  # samples of a raster that are made together, 64 MB
 MARGIN_NYQUIST = 21  # Nyquist intervals of raster around the target: its filter reaches 9.06 / BAND_SHARE * 2 of them
 
 
@@ -174,7 +174,7 @@ class _Raster:
         counts = np.ceil(half_mm / step_mm + MARGIN_NYQUIST * SUPERSAMPLING).astype(int)
         y_mm, x_mm = (np.arange(-n, n + 1) * step_mm for n in counts)
         rasters = list[Floats32]()
-        for first in range(0, len(y_mm), many := max(1, AT_ONCE // len(x_mm))):
+        for first in range(0, len(y_mm), many := max(1, SAMPLES_AT_ONCE // len(x_mm))):
             rows = slice(first, first + many)
             parts = sampled(y_mm[rows], x_mm, BAND_SHARE * cutoff_per_mm)
             rasters = rasters or [

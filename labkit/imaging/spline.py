@@ -17,9 +17,9 @@ POLES = (
     math.sqrt(135 / 2 - math.sqrt(17745 / 4)) + math.sqrt(105 / 4) - 13 / 2,
     math.sqrt(135 / 2 + math.sqrt(17745 / 4)) - math.sqrt(105 / 4) - 13 / 2,
 )
-REACH = 45  # samples, after which the larger pole has fallen below 1e-16
+POLE_REACH = 45  # samples, after which the larger pole has fallen below 1e-16
 
-AT_ONCE = 512  # columns that are filtered together
+COLUMNS_AT_ONCE = 512  # columns that are filtered together
 
 FAST = {"contract", "reassoc", "nsz"}
 
@@ -46,10 +46,10 @@ def along_rows(raster: Floats) -> Floats:
 
 def filter_columns(spline: Floats | Floats32) -> None:
     """Turn samples along columns into coefficients, in place, computed in double precision."""
-    for first in range(0, spline.shape[1], AT_ONCE):
-        some = np.array(spline[:, first : first + AT_ONCE], dtype=float, order="C")
+    for first in range(0, spline.shape[1], COLUMNS_AT_ONCE):
+        some = np.array(spline[:, first : first + COLUMNS_AT_ONCE], dtype=float, order="C")
         _filter_columns(some)
-        spline[:, first : first + AT_ONCE] = some
+        spline[:, first : first + COLUMNS_AT_ONCE] = some
 
 
 def read(spline: Floats | Floats32, onto: Floats, shape: tuple[int, int]) -> Floats32:
@@ -137,7 +137,7 @@ def _filter_columns(samples: Floats) -> None:
     rows, columns = samples.shape
     for z in POLES:
         first = np.zeros(columns)
-        for i in range(min(rows, REACH)):
+        for i in range(min(rows, POLE_REACH)):
             first += z**i * samples[i]
         samples *= (1 - z) * (1 - 1 / z)
         samples[0] = first * ((1 - z) * (1 - 1 / z))

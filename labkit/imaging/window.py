@@ -10,8 +10,8 @@ from labkit.types import Floats
 STRAYED = 1e-4  # share of the light by which a PSF beyond its window may differ from a perfect lens's
 OF_HALO = 0.2  # 0.14 to 0.27 for wavefronts of 0.2 to 1.5 waves RMS in modes 4 to 28
 WINDOW_AIRY = 120.0  # lambda N, unless a wavefront needs more: twice STRAYED strays at 1.3 waves of defocus
-WIDEST = 400.0  # for memory's sake
-RAYS, STEP = 128, 1e-4
+WIDEST_WINDOW = 400.0  # for memory's sake
+RAYS, SLOPE_STEP = 128, 1e-4
 FADING = 0.2  # of the window, both borders together, along rows and columns
 
 
@@ -27,7 +27,7 @@ def window_for(noll: Sequence[int], waves: Floats, longest: float = 1.0) -> floa
     """
     distance = rim_rays_airy(noll, waves, longest)
     reach = np.cbrt(OF_HALO * np.mean(distance**2) / STRAYED)
-    return float(min(2 * reach, WIDEST))
+    return float(min(2 * reach, WIDEST_WINDOW))
 
 
 def rim_rays_airy(noll: Sequence[int], waves: Floats, longest: float = 1.0) -> Floats:
@@ -43,8 +43,10 @@ def rim_rays_airy(noll: Sequence[int], waves: Floats, longest: float = 1.0) -> F
             np.zeros(RAYS),
         )
 
-    by_rho = (path(longest, 0.0) - path(longest - STEP, 0.0)) / STEP
-    by_theta = (path(longest, STEP) - path(longest, -STEP)) / (2 * STEP * longest)
+    by_rho = (path(longest, 0.0) - path(longest - SLOPE_STEP, 0.0)) / SLOPE_STEP
+    by_theta = (path(longest, SLOPE_STEP) - path(longest, -SLOPE_STEP)) / (
+        2 * SLOPE_STEP * longest
+    )
     return np.asarray(2 * np.hypot(by_rho, by_theta))
 
 

@@ -23,8 +23,8 @@ from labkit.optics.zernike import noll_to_nm
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
-STEP = 1e-5  # of the pupil's radius, in differences
-MOST = 0.99  # share of the energy that a radius is computed for; beyond, 0.2 lambda N / r of the light is the halo's
+RADIUS_STEP = 1e-5  # of the pupil's radius, in differences
+MOST_ENERGY = 0.99  # share of the energy that a radius is computed for; beyond, 0.2 lambda N / r of the light is the halo's
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,9 +85,9 @@ def radius_of_energy(wavefront: FittedWavefront, share: float) -> Uncertain:
     Raises ValueError for a share that is not between 0 and 0.99: the last hundredth is in
     the diffraction halo, which any dust changes.
     """
-    if not 0 < share <= MOST:
+    if not 0 < share <= MOST_ENERGY:
         raise ValueError(
-            f"share = {share:g}: above 0 and at most {MOST:g} of the energy is possible"
+            f"share = {share:g}: above 0 and at most {MOST_ENERGY:g} of the energy is possible"
         )
     centred = about_centroid(wavefront)
     limit = max(2.0, 0.3 / (1 - share)) * wavefront.wavelength_um * wavefront.f_number
@@ -128,7 +128,7 @@ def about_centroid(wavefront: FittedWavefront) -> FittedWavefront:
 def _mean_slopes(wavefront: FittedWavefront) -> Floats:
     """Return (2, modes) mean slopes of the modes along x and y over a pupil that is no disc."""
     x, y, weights = wavefront.rim.quadrature(24, 96)
-    steps = ((STEP, 0.0), (0.0, STEP))
+    steps = ((RADIUS_STEP, 0.0), (0.0, RADIUS_STEP))
     return np.array(
         [
             (
@@ -136,7 +136,7 @@ def _mean_slopes(wavefront: FittedWavefront) -> Floats:
                 - modes_at(wavefront.noll, x - dx, y - dy)
             )
             @ weights
-            / (2 * STEP)
+            / (2 * RADIUS_STEP)
             for dx, dy in steps
         ]
     )

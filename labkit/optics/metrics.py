@@ -25,7 +25,7 @@ PUPIL_SAMPLES = (
 )
 F_NUMBER_STEP = 1e-4  # relative, of a PSF's derivative by the f-number
 HALF_WIDTH_AIRY = 32.0  # of a PSF's usual window: 0.6 % of the light lies beyond
-RIM_ANGLES, RADII = (
+RIM_ANGLES, SAMPLED_RADII = (
     512,
     129,
 )  # where a wavefront's extremes are looked for: they are known to 1e-3 of themselves
@@ -236,7 +236,7 @@ def peak_to_valley(wavefront: FittedWavefront, without: Collection[int] = ()) ->
 def _all_over(noll: tuple[int, ...], rim: Rim) -> Floats:
     """Return (modes, points) the modes over the pupil and its rim."""
     rho, theta = np.meshgrid(
-        np.linspace(0, 1, RADII), 2 * np.pi * np.arange(RIM_ANGLES) / RIM_ANGLES
+        np.linspace(0, 1, SAMPLED_RADII), 2 * np.pi * np.arange(RIM_ANGLES) / RIM_ANGLES
     )
     if not rim.is_round:
         rho = rim.inner + rho * (rim.outline(theta) - rim.inner)

@@ -15,8 +15,14 @@ import numpy as np
 import scipy.fft
 
 from labkit.arrays import positive, real_array
-from labkit.optics.pupil import APART, OUTLINE_REACH, REACH, smooth_disc, smooth_outline
-from labkit.optics.rim import DISC, ROUND, Rim
+from labkit.optics.pupil import (
+    ARC_SPACING,
+    KERNEL_REACH,
+    OUTLINE_REACH,
+    smooth_disc,
+    smooth_outline,
+)
+from labkit.optics.rim import ROUND, ROUND_RIM, Rim
 from labkit.optics.zernike import zernike
 from labkit.types import Complexes, Complexes64, Floats, Floats32
 
@@ -58,7 +64,7 @@ class Pupil:
         positive("f_number", self.f_number, "unitless")
         self.check_sampling()
         half = (
-            int(np.ceil(self.radius)) + REACH
+            int(np.ceil(self.radius)) + KERNEL_REACH
             if self.rim.is_round
             else int(np.ceil(self.radius * self.rim.longest)) + OUTLINE_REACH
         )
@@ -92,7 +98,7 @@ class Pupil:
         """Return (n, n) the aperture with a rim of its area, on this pupil's grid."""
         if rim.is_round:
             return smooth_disc(self._offsets, self.radius)
-        vertices = int(np.ceil(2 * np.pi * self.radius / APART))
+        vertices = int(np.ceil(2 * np.pi * self.radius / ARC_SPACING))
         return smooth_outline(
             self._offsets, [self.radius * edge for edge in rim.edges(vertices)]
         )
@@ -200,14 +206,14 @@ class Pupil:
     @property
     def outlined(self) -> "Pupil":
         """The same pupil with its amplitude by `smooth_outline`, even for a disc."""
-        return replace(self, rim=DISC) if self.rim.is_round else self
+        return replace(self, rim=ROUND_RIM) if self.rim.is_round else self
 
     @property
     def halo(self) -> "Pupil":
         """The disc whose perfect image has the same halo, averaged over all directions: itself where this is a disc."""
         if self.rim.is_round:
             return self
-        return replace(self, f_number=self.f_number * self.rim.halo, rim=DISC)
+        return replace(self, f_number=self.f_number * self.rim.halo, rim=ROUND_RIM)
 
     def psf_at(
         self, waves: Floats, at_um: Floats, only: slice = slice(None)

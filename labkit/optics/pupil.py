@@ -9,12 +9,12 @@ from labkit.arrays import positive, real_array
 from labkit.optics.rim import along
 from labkit.types import Floats
 
-REACH = 3  # of a disc's edge's kernel, in samples
+KERNEL_REACH = 3  # of a disc's edge's kernel, in samples
 OUTLINE_REACH = 6  # of any outline's
 DEGREE = 5  # of the spline that smooths it
 FLATTER = (0.25, 13 / 240, 139 / 12096)
 """Powers of the second difference that undo the spline's blur up to the eighth order of the frequency."""
-APART = 0.5  # samples between the ends of an outline's arcs
+ARC_SPACING = 0.5  # samples between the ends of an outline's arcs
 
 
 def smooth_disc(offsets: Floats, radius: float) -> Floats:
@@ -49,12 +49,12 @@ def smooth_disc(offsets: Floats, radius: float) -> Floats:
     along, across = axis[:, None], axis[None, :]
     distance = np.hypot(along, across)
     octant = (distance < radius).astype(float)
-    edge = (np.abs(distance - radius) < REACH * np.sqrt(2)) & (
+    edge = (np.abs(distance - radius) < KERNEL_REACH * np.sqrt(2)) & (
         along >= across
     )  # where chords end steeply
     at, weight = (
         np.concatenate(each)
-        for each in zip(*map(_gauss, range(-REACH, REACH)), strict=True)
+        for each in zip(*map(_gauss, range(-KERNEL_REACH, KERNEL_REACH)), strict=True)
     )
     rows, columns = np.nonzero(edge)
     half_chord = np.sqrt(np.maximum(radius**2 - (axis[columns, None] - at) ** 2, 0.0))
@@ -67,22 +67,24 @@ def smooth_disc(offsets: Floats, radius: float) -> Floats:
 
 def _kernel(piece: int) -> Polynomial:
     """Return the kernel between two whole numbers: 1 at 0, and 0 at the other samples."""
-    others = [node for node in range(piece - REACH + 1, piece + REACH + 1) if node]
+    others = [
+        node for node in range(piece - KERNEL_REACH + 1, piece + KERNEL_REACH + 1) if node
+    ]
     product = Polynomial.fromroots(others)
     return product / product(0.0)
 
 
 def _gauss(piece: int) -> tuple[Floats, Floats]:
     """Return nodes and weights of an integral times the kernel, over one of its pieces."""
-    at, weight = np.polynomial.legendre.leggauss(REACH + 2)
+    at, weight = np.polynomial.legendre.leggauss(KERNEL_REACH + 2)
     at = piece + (1 + at) / 2
     return at, weight / 2 * _kernel(piece)(at)
 
 
 def _primitive(t: Floats) -> Floats:
     """Return the kernel's integral from 0 to t, which is 1/2 beyond its reach."""
-    s, total = np.minimum(np.abs(t), REACH), np.zeros_like(t)
-    for piece in range(REACH):
+    s, total = np.minimum(np.abs(t), KERNEL_REACH), np.zeros_like(t)
+    for piece in range(KERNEL_REACH):
         total += _kernel(piece).integ(lbnd=piece)(np.clip(s, piece, piece + 1))
     return np.copysign(total, t)
 
@@ -118,8 +120,8 @@ def smooth_outline(offsets: Floats, edges: Sequence[Floats]) -> Floats:
         column, row = np.floor(x).astype(int), np.floor(y).astype(int)
         by_column = _spline(x - column, DEGREE + 1)
         by_row = _spline(y - row, DEGREE) * steps[:, 1]
-        columns = column - REACH + np.arange(DEGREE + 2)[:, None]
-        rows = row - REACH + 1 + np.arange(DEGREE + 1)[:, None]
+        columns = column - KERNEL_REACH + np.arange(DEGREE + 2)[:, None]
+        rows = row - KERNEL_REACH + 1 + np.arange(DEGREE + 1)[:, None]
         passed += np.bincount(
             (rows[:, None] * size + columns).ravel(),
             (by_row[:, None] * by_column).ravel(),

@@ -18,7 +18,7 @@ import numpy as np
 from labkit.types import Bools, Floats
 
 FULL_TURN = 2 * np.pi
-ARCS = 512  # of an outline, for its extent and its length
+OUTLINE_ARCS = 512  # of an outline, for its extent and its length
 HALVINGS = 45  # of an interval of angles, to an intersection
 
 
@@ -207,7 +207,7 @@ class Rim:
         """Return the unit of `_radius`."""
         ends = np.unique(
             [
-                *np.linspace(0.0, FULL_TURN, ARCS, endpoint=False),
+                *np.linspace(0.0, FULL_TURN, OUTLINE_ARCS, endpoint=False),
                 *(self._kinks() % FULL_TURN),
             ]
         )
@@ -226,7 +226,7 @@ class Rim:
     def _kinks(self) -> Floats:
         """Return the angles of corners, and of the intersections of cuts."""
         kinks = [angle for cut in self.cuts for angle in cut.corners]
-        theta = np.linspace(0.0, FULL_TURN, ARCS, endpoint=False)
+        theta = np.linspace(0.0, FULL_TURN, OUTLINE_ARCS, endpoint=False)
         for one, other in combinations(self.cuts, 2):
 
             def inside(at: Floats, one: Cut = one, other: Cut = other) -> Floats:
@@ -248,12 +248,12 @@ class Rim:
         """Return the longest radius, half the largest width, and the edge's length over a circle's."""
         if self.is_round:
             return 1.0, 1.0, 1.0
-        edges = self.edges(ARCS)
-        theta = np.linspace(0.0, FULL_TURN, ARCS, endpoint=False)
+        edges = self.edges(OUTLINE_ARCS)
+        theta = np.linspace(0.0, FULL_TURN, OUTLINE_ARCS, endpoint=False)
         reach = np.max(
             np.stack([np.cos(theta), np.sin(theta)], axis=1) @ edges[0].T, axis=1
         )
-        width = 0.5 * np.max(reach + np.roll(reach, ARCS // 2))
+        width = 0.5 * np.max(reach + np.roll(reach, OUTLINE_ARCS // 2))
         length = sum(
             np.linalg.norm(edge - np.roll(edge, 1, axis=0), axis=1).sum() for edge in edges
         )
@@ -290,7 +290,7 @@ class Rim:
 ROUND = Rim()
 """A clear disc."""
 
-DISC = Rim((Circle(),))
+ROUND_RIM = Rim((Circle(),))
 """A clear disc too, as one of the outlines that a pupil may have."""
 
 

@@ -12,12 +12,12 @@ import numpy as np
 import scipy.fft
 
 from labkit.optics.psf import diffraction_mtf
-from labkit.optics.pupil import APART, OUTLINE_REACH, smooth_outline
-from labkit.optics.rim import DISC, Rim
+from labkit.optics.pupil import ARC_SPACING, OUTLINE_REACH, smooth_outline
+from labkit.optics.rim import ROUND_RIM, Rim
 from labkit.optics.wavefront import FittedWavefront, modes_at
 from labkit.types import Complexes, Floats
 
-RADIUS = 100.0
+SAMPLED_RADIUS = 100.0
 """Of the pupil, samples; its window is as many times 2 lambda N wide."""
 
 
@@ -45,7 +45,7 @@ def rim_transfer(
         halo = wavefront.rim.halo
         size = spread.size
         places = np.arange(size) - size // 2
-        turn = np.exp(-2j * np.pi * 2 * RADIUS / size * np.outer(places, nu))
+        turn = np.exp(-2j * np.pi * 2 * SAMPLED_RADIUS / size * np.outer(places, nu))
         passes = np.abs(nu) < wavefront.rim.reach
         departure = (spread - _disc_spread(halo, size)) @ turn
         value += share * passes * (departure + diffraction_mtf(nu * halo))
@@ -56,8 +56,8 @@ def rim_transfer(
 def _line_spread(wavefront: FittedWavefront, azimuth: float) -> tuple[Floats, Floats]:
     """Return shares of light (n,) at places along an azimuth, and derivatives (modes, n), at one wavelength."""
     rim = wavefront.rim.turned(-azimuth)
-    offsets, clear = _amplitude(rim, RADIUS, RADIUS * rim.longest)
-    x, y = np.meshgrid(offsets / RADIUS, offsets / RADIUS)
+    offsets, clear = _amplitude(rim, SAMPLED_RADIUS, SAMPLED_RADIUS * rim.longest)
+    x, y = np.meshgrid(offsets / SAMPLED_RADIUS, offsets / SAMPLED_RADIUS)
     cosine, sine = np.cos(azimuth), np.sin(azimuth)
     modes = modes_at(wavefront.noll, x * cosine - y * sine, x * sine + y * cosine)
     factor = 1j * wavefront.radians_per_wave
@@ -70,14 +70,14 @@ def _line_spread(wavefront: FittedWavefront, azimuth: float) -> tuple[Floats, Fl
         * np.sum((np.conj(field) * _transformed(factor * pupil * mode, size)).real, axis=0)
         for mode in modes
     ]
-    light = size * np.pi * RADIUS**2
+    light = size * np.pi * SAMPLED_RADIUS**2
     return spread / light, np.array(slopes).reshape(-1, size) / light
 
 
 def _disc_spread(halo: float, size: int) -> Floats:
     """Return shares of light (n,) of a perfect disc with a halo."""
-    radius = RADIUS / halo
-    _, clear = _amplitude(DISC, radius, radius)
+    radius = SAMPLED_RADIUS / halo
+    _, clear = _amplitude(ROUND_RIM, radius, radius)
     spread = np.sum(np.abs(_transformed(clear, size)) ** 2, axis=0)
     return np.asarray(spread / (size * np.pi * radius**2))
 
@@ -86,7 +86,7 @@ def _amplitude(rim: Rim, radius: float, longest: float) -> tuple[Floats, Floats]
     """Return coordinates (n,), samples, and the amplitude (n, n)."""
     half = int(np.ceil(longest)) + OUTLINE_REACH
     offsets = np.arange(-half, half + 1.0)
-    arcs = int(np.ceil(2 * np.pi * radius / APART))
+    arcs = int(np.ceil(2 * np.pi * radius / ARC_SPACING))
     return offsets, smooth_outline(offsets, [radius * edge for edge in rim.edges(arcs)])
 
 

@@ -10,14 +10,14 @@ import scipy.linalg
 
 from labkit.types import Floats
 
-NODES = 7
+SPECTRUM_NODES = 7
 """Wavelengths that stand for a spectrum of samples: they have its first 13 moments. PSFs of light 40 nm broad (half maximum)
 err by 0.0004 to 0.003 (L1) with 0 to 2 waves of defocus; with 5 nodes by 0.002 to 0.013, with 3 by 0.005 to 0.03."""
 
 KURTOSIS = 2.0
 """Fourth moment over the squared variance where only a width is known: 1.8 of a box, 3 of a Gaussian."""
 
-WIDEST = 0.08
+WIDEST_SPECTRUM = 0.08
 """Largest standard deviation, relative, of a spectrum that is fitted; 40 nm of 500."""
 
 
@@ -50,7 +50,7 @@ class Spectrum:
                 f"weights {[*map(float, shares)]} of a spectrum: none may be below 0, and some must be above"
             )
         at, shares = at[shares > 0], shares[shares > 0] / shares.sum()
-        nodes, weights_ = _gauss(at, shares, min(NODES, np.unique(at).size))
+        nodes, weights_ = _gauss(at, shares, min(SPECTRUM_NODES, np.unique(at).size))
         return cls(tuple(map(float, nodes)), tuple(map(float, weights_)))
 
     @classmethod
@@ -69,7 +69,7 @@ class Spectrum:
         WIDEST^2. A negative variance sharpens as much as light of the positive variance
         blurs.
         """
-        variance = min(max(variance, -(WIDEST**2)), WIDEST**2)
+        variance = min(max(variance, -(WIDEST_SPECTRUM**2)), WIDEST_SPECTRUM**2)
         offset = float(np.sqrt(KURTOSIS * abs(variance)))
         if not offset:
             return cls()

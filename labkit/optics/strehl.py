@@ -14,7 +14,7 @@ from labkit.uncertain import Uncertain
 
 TILTS = (2, 3)
 FLAT = 0.01  # of a perfect peak's curvature: along directions flatter than that a peak has no place
-STEPS = 30
+MOST_CLIMB_STEPS = 30
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,7 +81,9 @@ class Climber:
         at = np.concatenate([tilts, waves])
         curvature = 2 * sum(share * factor**2 for share, factor in self._lights)
         path = waves @ self._modes[free:]
-        for _ in range(STEPS):  # the other modes' derivatives are wanted at its end alone
+        for _ in range(
+            MOST_CLIMB_STEPS
+        ):  # the other modes' derivatives are wanted at its end alone
             _, slope, bend = self._height(at[:free], self._modes[:free], path)
             values, axes = np.linalg.eigh(bend)
             step = axes @ ((axes.T @ slope) / np.maximum(np.abs(values), FLAT * curvature))

@@ -123,7 +123,7 @@ class FittedWavefront:
     def in_light(self, std_nm: float) -> FittedWavefront:
         """Return the wavefront in light of a standard deviation about its wavelength.
 
-        The deviation is limited to `labkit.optics.spectrum.WIDEST` of the wavelength.
+        The deviation is limited to `labkit.optics.spectrum.WIDEST_SPECTRUM` of the wavelength.
         """
         spectrum = Spectrum.of_width((std_nm / self.wavelength_nm) ** 2)
         return replace(self, spectrum=spectrum, widest_nm=0.0)

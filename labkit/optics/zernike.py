@@ -9,7 +9,7 @@ import numpy as np
 from labkit.arrays import real_array
 from labkit.types import Floats
 
-NAMES = {
+MODE_NAMES = {
     4: "defocus",
     5: "oblique astigmatism",
     6: "vertical astigmatism",
@@ -27,7 +27,7 @@ NAMES = {
 
 def mode_name(j: int) -> str:
     """Return the usual name of a Noll mode, or its number."""
-    return NAMES.get(j, f"mode {j}")
+    return MODE_NAMES.get(j, f"mode {j}")
 
 
 @cache

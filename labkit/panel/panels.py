@@ -50,7 +50,7 @@ def paper_panel(target: Target) -> PanelInfo:
     return PanelInfo((side, side), pitch_mm, subpixels="none")
 
 
-SAME_PITCH = 0.005
+SAME_PANEL_PITCH = 0.005
 """Relative: pitches that differ by more are those of two panels."""
 
 
@@ -69,7 +69,7 @@ def panel_pitch_mm(plan: Plan) -> float | None:
                 "target.pixels.pitch_mm is missing: give it, or the panel as [display] panel"
             )
         return shown
-    if shown is not None and abs(pixels.pitch_mm / shown - 1) > SAME_PITCH:
+    if shown is not None and abs(pixels.pitch_mm / shown - 1) > SAME_PANEL_PITCH:
         raise PlanError(
             f"target.pixels.pitch_mm = {pixels.pitch_mm:g} contradicts [display], whose panel has pixels of {shown:.4g} mm: "
             "leave pitch_mm out, or correct the one that is wrong"

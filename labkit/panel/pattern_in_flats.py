@@ -18,10 +18,10 @@ from labkit.types import Bools, Floats
 SLOWEST = 0.04
 """Cycles a pixel of a plane: slower waves are the illumination's, which is smoothed over 16 pixels."""
 
-APART = 0.03
+SAME_FREQUENCY = 0.03
 """Cycles a pixel: waves nearer to one another than this are one."""
 
-SLOW, LEAST_SLOW = 0.15, 5e-3
+SLOW_FREQUENCY, LEAST_SLOW = 0.15, 5e-3
 """Cycles a pixel, and amplitude: waves as slow and weaker may be an uneven panel, which is illumination."""
 
 LEAST_WAVE = 2e-3
@@ -30,14 +30,14 @@ LEAST_WAVE = 2e-3
 BEYOND_CHANCE = 12.0
 """By so much more than the logarithm of their number a power must exceed the mean: chance does so once in 160 000 planes."""
 
-SMOOTH_PX, KNOT_PX = 10.0, 4.0
+AMPLITUDE_SMOOTHING_PX, KNOT_PX = 10.0, 4.0
 """Standard deviation of the mean that a wave's amplitude is found by: 1/50 000 of a wave 0.075 cycles a pixel away is in it.
 And how far apart the places are that it is found at, linear between them."""
 
-MOST_WAVES, ROUNDS = 40, 3
+MOST_PATTERN_WAVES, WAVE_ROUNDS = 40, 3
 """Of a pattern; and how often each is found anew beside the others, whenever more have shown."""
 
-TILE_PX, BORDER_PX = 256, 24
+PATTERN_TILE_PX, BORDER_PX = 256, 24
 """Larger planes are looked at in tiles of this side, which lie over one another by twice the border: all of a tile's waves have
 about the same frequencies."""
 
@@ -63,7 +63,7 @@ def repeating(relative: Floats, use: Bools) -> Floats | None:
 
 def _tiles(size: int) -> list[tuple[slice, slice]]:
     """Return overlapping tiles along an axis, and the part of each that no other tile covers."""
-    many = max(1, -(-(size - 2 * BORDER_PX) // (TILE_PX - 2 * BORDER_PX)))
+    many = max(1, -(-(size - 2 * BORDER_PX) // (PATTERN_TILE_PX - 2 * BORDER_PX)))
     ends = [round(size * k / many) for k in range(many + 1)]
     return [
         (slice(max(0, low - BORDER_PX), min(size, high + BORDER_PX)), slice(low, high))
@@ -81,16 +81,16 @@ def _waves(relative: Floats, use: Bools) -> Floats | None:
         0.0,
         list[Floats](),
     )
-    while len(frequencies) < MOST_WAVES:
+    while len(frequencies) < MOST_PATTERN_WAVES:
         new = [
             f
             for f in _peaks(rest, use)
-            if all(_distance(f, other) > APART for other in frequencies)
+            if all(_distance(f, other) > SAME_FREQUENCY for other in frequencies)
         ]
         if not new:
             break
-        frequencies += new[: MOST_WAVES - len(frequencies)]
-        for frequency in frequencies * ROUNDS:
+        frequencies += new[: MOST_PATTERN_WAVES - len(frequencies)]
+        for frequency in frequencies * WAVE_ROUNDS:
             down, right = (
                 np.exp(2j * np.pi * f * np.arange(n))
                 for f, n in zip(frequency, use.shape, strict=True)
@@ -113,7 +113,7 @@ def _waves(relative: Floats, use: Bools) -> Floats | None:
 def _knots(size: int) -> tuple[Floats, Floats]:
     """Return (knots, size) weights of the mean about each knot, and (size, knots) of linear interpolation."""
     at, pixels = np.linspace(0, size - 1, int(np.ceil(size / KNOT_PX)) + 1), np.arange(size)
-    sigma = min(SMOOTH_PX, size / 8)
+    sigma = min(AMPLITUDE_SMOOTHING_PX, size / 8)
     near = np.exp(-(((pixels - at[:, None]) / sigma) ** 2) / 2)
     return near, np.maximum(1 - np.abs(pixels[:, None] - at) / (at[1] - at[0]), 0.0)
 
@@ -133,12 +133,12 @@ def _peaks(rest: Floats, use: Bools) -> list[Floats]:
     tops = fast & (power == ndimage.maximum_filter(power, 5, mode="wrap"))
     tops &= power > level * (np.log(power.size) + BEYOND_CHANCE)
     amplitude = 2 * np.sqrt(power * np.sum(window**2)) / max(float(window.sum()), 1e-300)
-    tops &= (amplitude > LEAST_SLOW) | (np.hypot(rows, cols) > SLOW)
+    tops &= (amplitude > LEAST_SLOW) | (np.hypot(rows, cols) > SLOW_FREQUENCY)
     found = sorted(zip(power[tops], *np.nonzero(tops), strict=True), reverse=True)
     peaks: list[Floats] = []
     for _, row, col in found:
         at = np.array([rows[row, 0], cols[0, col]])
-        if all(_distance(at, other) > APART for other in peaks):
+        if all(_distance(at, other) > SAME_FREQUENCY for other in peaks):
             peaks.append(at)
     return peaks
 

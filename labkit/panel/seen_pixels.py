@@ -15,22 +15,22 @@ import numpy as np
 
 from labkit.errors import PlanError
 from labkit.findings import Finding, found
-from labkit.panel.stripe_contrast import LEAST_CONTRAST
+from labkit.panel.stripe_contrast import LEAST_STRIPE_CONTRAST
 from labkit.plan import TargetPixels
 from labkit.plan.plan import COLOUR_WORDS
 from labkit.target import CellTarget, Target
 from labkit.types import Bools, Complexes, Floats
 
-MIDDLE = 0.4
+SEARCHED_MIDDLE = 0.4
 """Extent of the searched white from the target's middle, as a share of the target's half side."""
 
 RIM_PX = 4
 """Width of the rim of white areas that is left out, for edges are blurred."""
 
-LEAST_PIXELS = 100
+LEAST_WHITE_PIXELS = 100
 """Least number of a channel's pixels in the white."""
 
-STRAY = 0.01
+FREQUENCY_ERROR = 0.01
 """Relative error of a frequency, for the target's corners are known to a pixel."""
 
 FASTEST = 1.1
@@ -150,7 +150,7 @@ def seen_pixels(views: Sequence[TargetView], target: Target) -> SeenPixels | Non
     axis = int(np.argmax(strengths.max(axis=1)))
     number = int(np.argmax(strengths[axis] > NEARLY * strengths[axis].max()))
     contrast = float(strengths[axis, number])
-    if contrast < max(LEAST_CONTRAST, BEYOND_NOISE * noise):
+    if contrast < max(LEAST_STRIPE_CONTRAST, BEYOND_NOISE * noise):
         return None
     phases = [
         (view.range_mm, view.channel, waves[axis, number])
@@ -196,7 +196,7 @@ def _waves(view: TargetView, target: CellTarget) -> tuple[Complexes, float]:
     )
     per_px = np.array(target.cells.shape) / (2 * np.hypot(*per_unit))  # cells at the middle
     most = int(FASTEST / per_px.max())
-    if white.sum() < LEAST_PIXELS or not most:
+    if white.sum() < LEAST_WHITE_PIXELS or not most:
         return np.zeros((2, 0), complex), 0.0
     y, x = (index[white] - index[white].mean() for index in (down, right))
     trend = np.stack([np.ones(y.size), y, x, y * x, y**2, x**2], axis=1)
@@ -220,7 +220,7 @@ def _waves(view: TargetView, target: CellTarget) -> tuple[Complexes, float]:
 def _white(target: CellTarget, y: Floats, x: Floats) -> Bools:
     """Mark pixels, by their unit coordinates, that lie in white areas in the middle of the target."""
     half = np.array(target.size_mm) / 2
-    inside = (np.abs(y) < MIDDLE) & (np.abs(x) < MIDDLE)
+    inside = (np.abs(y) < SEARCHED_MIDDLE) & (np.abs(x) < SEARCHED_MIDDLE)
     white = (target.radiance(y * half[0], x * half[1]) > 0.99 * target.cells.max()) & inside
     return np.asarray(
         cv2.erode(white.astype(np.uint8), np.ones((2 * RIM_PX + 1,) * 2, np.uint8)) > 0
@@ -229,7 +229,7 @@ def _white(target: CellTarget, y: Floats, x: Floats) -> Bools:
 
 def _strongest(picture: Floats, frequency: Floats, extent: float, pixels: int) -> complex:
     """Return the largest amplitude near a frequency (2,), cycles per pixel."""
-    reach = STRAY * float(np.hypot(*frequency))
+    reach = FREQUENCY_ERROR * float(np.hypot(*frequency))
     near = np.linspace(-reach, reach, 2 * int(np.ceil(2 * extent * reach)) + 1)
     down, right = (
         np.exp(-2j * np.pi * np.outer(f + near, np.arange(n)))

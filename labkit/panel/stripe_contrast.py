@@ -12,13 +12,13 @@ from labkit.optics.wavefront import FittedWavefront
 from labkit.panel.drawn_target import USUAL_APERTURE
 from labkit.plan import Plan
 
-LEAST_CONTRAST = 0.01
+LEAST_STRIPE_CONTRAST = 0.01
 """Amplitude, relative to white, of a pattern that spoils a fit: more than the noise of a pixel of 10 000 electrons."""
 
-LIT = USUAL_APERTURE / 3
+STRIPE_WIDTH = USUAL_APERTURE / 3
 """Lit width of a colour's stripe, as a share of the pixel's width."""
 
-HARMONIC = 2 * sin(pi * LIT) / (pi * LIT)
+HARMONIC = 2 * sin(pi * STRIPE_WIDTH) / (pi * STRIPE_WIDTH)
 """Amplitude of a white panel's stripes in one colour, relative to their mean: the first term of their Fourier series."""
 
 

@@ -16,16 +16,16 @@ from labkit.photographs.photograph import Photograph
 from labkit.plan.sensor import IN_COLOURS, MONO
 from labkit.types import Counts, Floats
 
-TILE_PX = 32
+NOISE_TILE_PX = 32
 MOST_TILES = 4096
 LEAST_TILES = 32
 SEEN = 8.0
 """Noise is seen where it has this many times the variance of rounding."""
 
-SLOW, MIDDLE, UPPER = (0.04, 0.10), (0.10, 0.20), (0.42, 0.50)
+SLOW_BAND, MIDDLE_BAND, UPPER_BAND = (0.04, 0.10), (0.10, 0.20), (0.42, 0.50)
 """Bands, cycles per pixel: noise in the upper one is compared with that in the middle."""
 
-SMOOTH = 3.0
+SMOOTH_RATIO = 3.0
 """A part is smooth whose slow band has no more than this times its middle one's power: structure has far more."""
 
 EMPTY, ENLARGED = 0.06, 0.1
@@ -40,10 +40,10 @@ far more."""
 FLAT_PX, HALO_PX = (8, 14), 7
 """From an edge: where it must be flat on both sides, and how far a halo reaches."""
 
-EVEN = 0.03
+EVEN_EDGE = 0.03
 """Of an edge's contrast: how much the mean of all edges may vary there."""
 
-LEAST_PROFILES, MOST_PROFILES, MOST_ROWS = 40, 20_000, 512
+LEAST_PROFILES, MOST_PROFILES, MOST_PROFILE_ROWS = 40, 20_000, 512
 OVERSHOOT = 0.05
 """Of an edge's contrast."""
 
@@ -109,25 +109,30 @@ def alterations(mosaic: Photograph) -> Alterations:
 def noise_of(mosaic: Photograph) -> Noise | None:
     """Of a picture of one colour; None where its noise cannot be seen beside structure and rounding."""
     plane = mosaic.counts
-    if min(plane.shape) < 2 * TILE_PX:
+    if min(plane.shape) < 2 * NOISE_TILE_PX:
         return None
-    rows, cols = (size // TILE_PX for size in plane.shape)
+    rows, cols = (size // NOISE_TILE_PX for size in plane.shape)
     places = np.argwhere(np.ones((rows, cols), bool))
     places = places[:: -(-len(places) // MOST_TILES)]
     tiles = (
-        plane[: rows * TILE_PX, : cols * TILE_PX]
-        .reshape(rows, TILE_PX, cols, TILE_PX)
+        plane[: rows * NOISE_TILE_PX, : cols * NOISE_TILE_PX]
+        .reshape(rows, NOISE_TILE_PX, cols, NOISE_TILE_PX)
         .swapaxes(1, 2)
     )
     chosen = tiles[places[:, 0], places[:, 1]].astype(np.float64)
     power, rounding = _spectra(chosen), _rounding(mosaic, chosen.mean(axis=(1, 2)))
-    middle = _band(power, MIDDLE, MIDDLE)
-    seen = (middle > SEEN * rounding) & (_band(power, SLOW, SLOW) < SMOOTH * middle)
+    middle = _band(power, MIDDLE_BAND, MIDDLE_BAND)
+    seen = (middle > SEEN * rounding) & (
+        _band(power, SLOW_BAND, SLOW_BAND) < SMOOTH_RATIO * middle
+    )
     if np.count_nonzero(seen) < LEAST_TILES:
         return None
     noise = np.mean((middle - rounding)[seen])
     along_rows, along_cols = (
-        float(np.mean((_band(turned, UPPER, (0.0, MIDDLE[1])) - rounding)[seen]) / noise)
+        float(
+            np.mean((_band(turned, UPPER_BAND, (0.0, MIDDLE_BAND[1])) - rounding)[seen])
+            / noise
+        )
         for turned in (power, power.swapaxes(1, 2))
     )
     return Noise(
@@ -187,8 +192,10 @@ def _periodic(plane: Counts, places: NDArray[np.intp], compressed: bool) -> floa
     for picture, turned in ((plane, places), (plane.T, places[:, ::-1])):
         for order in (1, 2):
             strength = np.zeros(picture.shape[1])
-            for row, col in turned * TILE_PX:
-                part = picture[row : row + TILE_PX, col : col + TILE_PX].astype(np.float64)
+            for row, col in turned * NOISE_TILE_PX:
+                part = picture[row : row + NOISE_TILE_PX, col : col + NOISE_TILE_PX].astype(
+                    np.float64
+                )
                 steps = np.abs(np.diff(part, order, axis=1))
                 strength[col + 1 : col + 1 + steps.shape[1]] += (
                     steps / max(float(steps.mean()), 1e-12) - 1
@@ -204,9 +211,9 @@ def _strongest_period(strength: Floats, compressed: bool) -> float:
     """
     power, cycles = (
         np.abs(np.fft.rfft(strength)) ** 2,
-        TILE_PX * np.fft.rfftfreq(len(strength)),
+        NOISE_TILE_PX * np.fft.rfftfreq(len(strength)),
     )
-    kept = cycles > 0.1 * TILE_PX
+    kept = cycles > 0.1 * NOISE_TILE_PX
     if compressed:
         kept &= np.abs(cycles - np.round(cycles)) > 0.15
     return float(power[kept].max() / max(np.median(power[kept]), 1e-12))
@@ -217,7 +224,7 @@ def _overshoot_along_rows(plane: Floats) -> float:
     (near, far), (rows, cols) = FLAT_PX, plane.shape
     if cols < 4 * far:
         return 0.0
-    picture = plane[:: -(-rows // MOST_ROWS)]
+    picture = plane[:: -(-rows // MOST_PROFILE_ROWS)]
     low, high = np.percentile(picture, (2, 98))
     slope = np.abs(picture[:, 2:] - picture[:, :-2])[:, far : -far - 2]
     steep = np.argwhere(slope > 0.1 * (high - low))
@@ -247,4 +254,4 @@ def _overshoot_of(profile: Floats) -> float:
     overshoot = float((profile[far : far + HALO_PX + 1].max() - bright) / (bright - dark))
     # structure nearby, out of focus, looks like a halo; a wide halo reaches there too, but less than at the edge
     uneven = np.ptp(profile[near - far - 1 :]) / (bright - dark)
-    return 0.0 if uneven > max(EVEN, overshoot / 3) else overshoot
+    return 0.0 if uneven > max(EVEN_EDGE, overshoot / 3) else overshoot

@@ -29,7 +29,14 @@ RAW_SUFFIXES = re.compile(
 """What cameras' raw files are called."""
 
 MIN_IS_WHITE, MIN_IS_BLACK, RGB = 0, 1, 2
-MAKE, MODEL, EXPOSURE_S, ISO, DNG_VERSION, DNG_MODEL = 271, 272, 33434, 34855, 50706, 50708
+MAKE, MODEL, EXPOSURE_S, ISO_TAG, DNG_VERSION, DNG_MODEL = (
+    271,
+    272,
+    33434,
+    34855,
+    50706,
+    50708,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +95,7 @@ def _recognise_tiff(path: Path) -> Container:
             first = tiff.pages.first
             tags = {
                 code: tag.value
-                for code in (MAKE, MODEL, EXPOSURE_S, ISO, DNG_MODEL)
+                for code in (MAKE, MODEL, EXPOSURE_S, ISO_TAG, DNG_MODEL)
                 if (tag := first.tags.get(code))
             }
             check_strips(tiff, path.stat().st_size)
@@ -108,7 +115,7 @@ def _recognise_tiff(path: Path) -> Container:
         "tiff" if plain and (named or MAKE not in tags) else "raw",
         camera=_camera(tags),
         exposure_s=_seconds(tags.get(EXPOSURE_S)),
-        iso=int(tags[ISO]) if isinstance(tags.get(ISO), int) else None,
+        iso=int(tags[ISO_TAG]) if isinstance(tags.get(ISO_TAG), int) else None,
     )
 
 

@@ -28,10 +28,10 @@ SIGNAL_SHARE = 2e-3
 DARK_SHARE = 0.1
 """A dark or bias frame whose median lies this far from black to white has seen light."""
 
-ROUNDING = 1 / np.sqrt(12)
+ROUNDING_STD = 1 / np.sqrt(12)
 """Standard deviation of rounding to whole counts."""
 
-TILES, TILE_PX = 16, 16
+MOST_NOISE_TILES, LEAST_NOISE_TILE_PX = 16, 16
 """Noise is looked for in up to 16 x 16 tiles, none smaller than this: a target need not fill all of them."""
 
 
@@ -91,7 +91,7 @@ def pixel_noise(plane: Counts) -> float:
     """Standard deviation of one pixel's noise where the picture is smoothest; never below that of rounding."""
     differences = np.abs(np.diff(plane.astype(np.float64), axis=1))
     smoothest = np.quantile([np.median(tile) for tile in _tiles(differences)], 0.1)
-    return float(max(smoothest / 0.6745 / np.sqrt(2), ROUNDING))
+    return float(max(smoothest / 0.6745 / np.sqrt(2), ROUNDING_STD))
 
 
 def aperiodic_noise(plane: Counts) -> float:
@@ -107,11 +107,13 @@ def aperiodic_noise(plane: Counts) -> float:
             window**2
         )
         levels.append(float(np.quantile(power, 0.25)) / -np.log(0.75))
-    return float(max(np.sqrt(np.quantile(levels, 0.1)), ROUNDING))
+    return float(max(np.sqrt(np.quantile(levels, 0.1)), ROUNDING_STD))
 
 
 def _tiles(values: Floats | Floats32) -> list[Floats | Floats32]:
-    rows, cols = (max(1, min(TILES, size // TILE_PX)) for size in values.shape)
+    rows, cols = (
+        max(1, min(MOST_NOISE_TILES, size // LEAST_NOISE_TILE_PX)) for size in values.shape
+    )
     return [
         part
         for band in np.array_split(values, rows)

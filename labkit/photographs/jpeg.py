@@ -5,18 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from labkit.apart import DAMAGED
 from labkit.errors import InputError
 
 JPEG = b"\xff\xd8"
-EXIF, ICC = b"Exif\0\0", b"ICC_PROFILE\0"
+EXIF_MARK, ICC = b"Exif\0\0", b"ICC_PROFILE\0"
 APP1, APP2, START_OF_SCAN, END = 0xE1, 0xE2, 0xDA, 0xD9
-FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+FRAME_MARKERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 """Markers of segments that declare a picture's size: all of C0 to CF but tables of Huffman codes and the like."""
 
 ALONE = frozenset({0x01, *range(0xD0, 0xD8)})
 """Markers without a length."""
-
-DAMAGED = "is truncated or damaged"
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,12 +39,12 @@ def read_header(content: bytes) -> JpegHeader:
     """Read the header of a JPEG. Raises InputError for a damaged file, or colours other than grey and RGB."""
     frame, exif, profile = b"", b"", dict[int, bytes]()
     for marker, data in _segments(content):
-        if marker == APP1 and data.startswith(EXIF):
-            exif = exif or data[len(EXIF) :]
+        if marker == APP1 and data.startswith(EXIF_MARK):
+            exif = exif or data[len(EXIF_MARK) :]
         elif marker == APP2 and data.startswith(ICC) and len(data) > len(ICC) + 1:
             # numbered: a long profile takes several segments
             profile[data[len(ICC)]] = data[len(ICC) + 2 :]
-        elif marker in FRAMES:
+        elif marker in FRAME_MARKERS:
             frame = frame or data
     if len(frame) < 6 or len(frame) < 6 + 3 * frame[5]:
         raise InputError(DAMAGED)

@@ -18,16 +18,17 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-from labkit.apart import run_apart
+from labkit.apart import DAMAGED, run_apart
 from labkit.errors import InputError, shown
-from labkit.photographs.jpeg import DAMAGED, JPEG, read_header
+from labkit.photographs.container import MIN_IS_WHITE
+from labkit.photographs.jpeg import JPEG, read_header
 
 Numbers = NDArray[np.unsignedinteger]
 """Of 8 or 16 bit."""
 
 Format = Literal["png", "pgm", "tiff"]
 
-MOST_PIXELS = 2**28
+MOST_PICTURE_PIXELS = 2**28
 """Of any picture: the largest sensors have 150 million."""
 
 MOST_PER_SIDE = 2**16
@@ -54,7 +55,7 @@ ADAM7 = (
 """Passes of an interlaced PNG: first row, first column, steps down and right."""
 
 GREY, TRUE_COLOUR, PALETTE = 0, 2, 3
-MIN_IS_WHITE, UNCOMPRESSED = 0, 1
+UNCOMPRESSED = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +86,7 @@ def format_of(head: bytes) -> Format | None:
 
 
 def read_picture(
-    path: Path, most_pixels: int = MOST_PIXELS, *, processed: bool = False
+    path: Path, most_pixels: int = MOST_PICTURE_PIXELS, *, processed: bool = False
 ) -> Picture:
     """Read the picture in a PNG, PGM or TIFF file, in the file's orientation.
 

@@ -10,7 +10,7 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from labkit.errors import LONGEST, shown
+from labkit.errors import LONGEST_VALUE, shown
 from labkit.plan.fields import what_it_takes
 
 Step = int | str
@@ -59,7 +59,8 @@ def dotted(steps: Iterable[Step]) -> str:
     """Return keys as TOML writes them, long keys shortened."""
     keys = [str(step) for step in steps]
     return ".".join(
-        key if len(key) <= LONGEST else f"{key[: LONGEST - 3]}..." for key in keys
+        key if len(key) <= LONGEST_VALUE else f"{key[: LONGEST_VALUE - 3]}..."
+        for key in keys
     )
 
 
@@ -113,7 +114,7 @@ def _where(loc: tuple[Step, ...], tables: Mapping[str, Any]) -> str:
     name = channel.get("name") if isinstance(channel, Mapping) else None
     if loc[2:] == ("name",) and name is not None:
         return "channel.name"
-    named = isinstance(name, str) and len(name) <= LONGEST
+    named = isinstance(name, str) and len(name) <= LONGEST_VALUE
     return dotted(
         [f'channel "{name}"' if named else f"[[channel]] number {loc[1] + 1}", *loc[2:]]
     )

@@ -26,7 +26,7 @@ from labkit.plan.text import plain, read_tables, read_text, write_tables
 
 REFERENCE_NM = 450.0
 
-COLOURS = ("R", "G", "B")
+CAMERA_COLOURS = ("R", "G", "B")
 """What LibRaw names the colours of a camera's filter array."""
 
 LEADING = "G"
@@ -141,7 +141,7 @@ class Plan(Table):
             return
         # files that state their own filter array may be mono, whose one channel has any name
         alone = pattern is None and len(names) == 1
-        colours: tuple[str, ...] = COLOURS
+        colours: tuple[str, ...] = CAMERA_COLOURS
         words = "R, G or B; the one channel of a mono sensor has any name"
         if pattern is not None:
             colours, words = tuple(pattern), f'a colour of cfa_pattern = "{pattern}"'

@@ -15,7 +15,7 @@ from pydantic import (
     model_validator,
 )
 
-from labkit.mode_groups import GROUPS, MOST_NOLL, USUAL_NOLL
+from labkit.mode_groups import MODE_GROUPS, MOST_NOLL, USUAL_NOLL
 from labkit.plan.fields import (
     Address,
     Allowed,
@@ -40,7 +40,7 @@ from labkit.uncertain import Uncertain
 LAST_NOLL = 66
 """The last Zernike mode that can be fitted: all of the tenth radial order."""
 
-NEEDED = {
+NEEDED_BY_KIND = {
     **{
         "sierpinski": ("order",),
         "tribar": ("order",),
@@ -66,11 +66,13 @@ WITHIN_CHANNEL = 0.05
 WIDEST_LIGHT = 0.08
 """Of a channel's wavelength: the largest width that stands for a spectrum; a wider one has to be given in samples."""
 
-LEAST_LIT = 0.05
-APERTURE = f"[across, down], each {LEAST_LIT:g} to 1"
+LEAST_APERTURE = 0.05
+APERTURE_WORDS = f"[across, down], each {LEAST_APERTURE:g} to 1"
 SPECTRUM = "[[nm, weight], ...] with weights from 0, some above"
-NOLL = f"[first, last] with 4 <= first <= last <= {LAST_NOLL}"
-CORNERS = "four finite corners [row, col] of a convex quadrilateral, in order around it"
+NOLL_WORDS = f"[first, last] with 4 <= first <= last <= {LAST_NOLL}"
+CORNERS_WORDS = (
+    "four finite corners [row, col] of a convex quadrilateral, in order around it"
+)
 
 
 Error = Annotated[Number, AfterValidator(Allowed(0, 1e6))]
@@ -206,14 +208,16 @@ class TargetPixels(Table):
     layout: Literal["rgb-stripes", "bgr-stripes", "rgb-rows", "bgr-rows"] = "rgb-stripes"
     """Order of the colours in a pixel, as the photograph shows the panel upright: columns from left to right (stripes), or rows
     from top to bottom."""
-    aperture: Annotated[tuple[Number, Number] | None, Takes(APERTURE)] = None
+    aperture: Annotated[tuple[Number, Number] | None, Takes(APERTURE_WORDS)] = None
     """Lit share of a stripe: of its third of a pixel, and of the pitch along the stripe. Default: estimated."""
 
     @field_validator("aperture")
     @classmethod
     def _possible(cls, aperture: tuple[float, float] | None) -> tuple[float, float] | None:
-        if aperture is not None and not all(LEAST_LIT <= share <= 1 for share in aperture):
-            raise not_allowed(APERTURE)
+        if aperture is not None and not all(
+            LEAST_APERTURE <= share <= 1 for share in aperture
+        ):
+            raise not_allowed(APERTURE_WORDS)
         return aperture
 
 
@@ -246,9 +250,9 @@ class TargetSpec(Table):
     """Radiance around the target."""
     file: Path | None = None
     """Grey PNG, PGM or TIFF, relative to the plan; its values are relative radiance. Default: none."""
-    corners_px: Annotated[tuple[Corner, Corner, Corner, Corner] | None, Takes(CORNERS)] = (
-        None
-    )
+    corners_px: Annotated[
+        tuple[Corner, Corner, Corner, Corner] | None, Takes(CORNERS_WORDS)
+    ] = None
     """Corners of the target in the photographs, in the order (0, 0), (0, w), (h, w), (h, 0) of its own; pixel centres are at
     integers, rows count down, columns right. Default: labkit searches for the target."""
     pixels: TargetPixels | None = None
@@ -270,13 +274,13 @@ class TargetSpec(Table):
         cls, corners: tuple[tuple[float, float], ...] | None
     ) -> tuple[tuple[float, float], ...] | None:
         if corners is not None and not _is_convex(corners):
-            raise not_allowed(CORNERS)
+            raise not_allowed(CORNERS_WORDS)
         return corners
 
     @model_validator(mode="after")
     def _complete(self, info: ValidationInfo) -> TargetSpec:
         _refuse_larger(self, "size_mm", "size_std_mm")
-        for key in NEEDED.get(self.kind, ()):
+        for key in NEEDED_BY_KIND.get(self.kind, ()):
             if getattr(self, key) is None:
                 raise problem(f'{key} is missing: kind = "{self.kind}" needs it')
         if self.pixels is not None and self.surround == "white":
@@ -293,7 +297,7 @@ class TargetSpec(Table):
 class FitSettings(Table):
     """Settings of the estimate, and the uncertainty of the ranges."""
 
-    zernike_noll: Annotated[tuple[Count, Count], Takes(NOLL)] | None = None
+    zernike_noll: Annotated[tuple[Count, Count], Takes(NOLL_WORDS)] | None = None
     """First and last Zernike mode to estimate, in Noll's order: exactly these. Default: 4 to 15, and the higher
     radial orders that the photographs show.
     """
@@ -316,7 +320,7 @@ class FitSettings(Table):
     @classmethod
     def _ordered(cls, noll: tuple[int, int] | None) -> tuple[int, int] | None:
         if noll is not None and not 4 <= noll[0] <= noll[1] <= LAST_NOLL:
-            raise not_allowed(NOLL)
+            raise not_allowed(NOLL_WORDS)
         return noll
 
     @property
@@ -331,7 +335,7 @@ class FitSettings(Table):
         if self.zernike_noll is not None:
             return ()
         return tuple(
-            group.name for group in GROUPS.values() if group.last <= self.most_noll
+            group.name for group in MODE_GROUPS.values() if group.last <= self.most_noll
         )
 
 

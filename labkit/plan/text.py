@@ -12,11 +12,11 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from labkit.errors import LONGEST, PlanError, shown
+from labkit.errors import LONGEST_VALUE, PlanError, shown
 from labkit.files import refuse_special
 from labkit.plan.messages import dotted, plain_number
 
-DEEPEST = 6
+DEEPEST_TABLE = 6
 """Tables and lists in one another: corners stand three deep, and what is deeper is no plan."""
 
 TOO_DEEP = "not TOML that can be read: lists or tables too deep in one another"
@@ -80,9 +80,9 @@ def plain(value: Any, *where: str) -> Any:
     where: the keys that lead to the value. Raises PlanError for integers of more than 64
     bits and for values nested too deeply.
     """
-    if len(where) > DEEPEST:
+    if len(where) > DEEPEST_TABLE:
         raise PlanError(
-            f"{dotted(where[:2])}: lists or tables more than {DEEPEST} deep in one another"
+            f"{dotted(where[:2])}: lists or tables more than {DEEPEST_TABLE} deep in one another"
         )
     match value:
         case None | bool() | str():
@@ -117,7 +117,9 @@ def _place(words: str, text: str) -> str:
     line = lines[int(at[1]) - 1].strip()
     meant = plain_number(line.partition("=")[2].partition("#")[0])
     reason = words[: at.start()]  # it may repeat a key, however long
-    cut = reason if len(reason) <= 2 * LONGEST else f"{reason[: 2 * LONGEST]}..."
+    cut = (
+        reason if len(reason) <= 2 * LONGEST_VALUE else f"{reason[: 2 * LONGEST_VALUE]}..."
+    )
     return f"{cut}{at[0]}: {shown(line)}" + (f"; write {meant}" if meant else "")
 
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labkit.report.best_focus import DIRECTIONS, ChannelFocus
-from labkit.report.focus_table import NOT_FITTED
+from labkit.report.best_focus import MTF_DIRECTIONS, ChannelFocus
 from labkit.report.photographs import Photographs, off_centre
 from labkit.report.quantities import NO_ERROR, PLUS_MINUS, estimated, fixed
 from labkit.results import ColourShift, Results
+from labkit.results.tables import NOT_FITTED
 from labkit.uncertain import Uncertain
 
 
@@ -74,7 +74,7 @@ def _rms(focused: Sequence[ChannelFocus]) -> Card:
 
 def _mtf50(focused: Sequence[ChannelFocus]) -> Card:
     rows = [
-        (b.channel, tuple(_of(b, b.mtf50(direction)) for direction in DIRECTIONS))
+        (b.channel, tuple(_of(b, b.mtf50(direction)) for direction in MTF_DIRECTIONS))
         for b in focused
     ]
     note = (

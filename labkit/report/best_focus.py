@@ -13,7 +13,7 @@ from labkit.results import BestFocus, Results, Wavefront
 from labkit.results.verdicts import confirmed
 from labkit.uncertain import Uncertain
 
-DIRECTIONS: tuple[Direction, ...] = ("x", "y")
+MTF_DIRECTIONS: tuple[Direction, ...] = ("x", "y")
 
 
 @dataclass(frozen=True, slots=True)

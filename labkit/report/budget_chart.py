@@ -14,7 +14,7 @@ from labkit.types import Floats
 from labkit.uncertain import decimals
 
 # of Okabe and Ito's colours those that no channel has, as far apart in lightness as they go; and what is legible on each
-COLOURS = {
+SOURCE_COLOURS = {
     "photons": ("#56b4e9", INK),
     "calibration": ("#f0e442", INK),
     "geometry": ("#444a50", "white"),
@@ -31,7 +31,7 @@ def budget_chart(results: Results) -> Figure:
     shares = np.array([variance_shares(budget) for _, budget in numbers])
     left = np.zeros(len(numbers))
     for source, of_source in zip(SOURCES, shares.T, strict=True):
-        colour, ink = COLOURS[source]
+        colour, ink = SOURCE_COLOURS[source]
         axes.barh(
             places,
             of_source,

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
-from labkit.figure_style import HALF_IN, SOFT, channel_inks, chart
+from labkit.figure_style import HALF_IN, SOFT_INK, channel_inks, chart
 from labkit.results import Results
 
 WIDE = 5.0  # power beyond which the axis is logarithmic
@@ -15,7 +15,7 @@ WIDE = 5.0  # power beyond which the axis is logarithmic
 def spectrum_chart(results: Results) -> Figure:
     """Power of the residuals over the noise's against spatial frequency, a line a channel, dashed without the parts found."""
     figure, axes = chart(HALF_IN, 3.0, top=0.12)
-    axes.axhline(1, color=SOFT, lw=0.7)
+    axes.axhline(1, color=SOFT_INK, lw=0.7)
     inks = channel_inks(results.channels)
     for channel in results.channels:
         spectra = [

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from labkit.imaging.optics import ESTIMATED, OPTIONAL
+from labkit.imaging.optics import ESTIMATED, OPTIONAL_PARTS
 from labkit.optics.metrics import psf_difference
 from labkit.optics.strehl import strehl
 from labkit.report.best_focus import ChannelFocus
@@ -84,4 +84,4 @@ def tried_table(results: Results) -> Table:
 
 def _title(name: str) -> str:
     """Return a part's title; its name if this version of labkit does not know it."""
-    return OPTIONAL[name].title if name in OPTIONAL else name
+    return OPTIONAL_PARTS[name].title if name in OPTIONAL_PARTS else name

@@ -10,7 +10,7 @@ from labkit.figure_style import (
     FAINT,
     HALF_IN,
     INK,
-    SOFT,
+    SOFT_INK,
     THIRD_IN,
     Ink,
     channel_inks,
@@ -59,7 +59,7 @@ def zernike_chart(
             elinewidth=0.8,
             capsize=1.2,
         )
-    axes.axvline(0, color=SOFT, lw=0.7)
+    axes.axvline(0, color=SOFT_INK, lw=0.7)
     axes.set_yticks(
         range(rows), [f"{mode_name(j)}  {j}" if j <= 15 else str(j) for j in modes]
     )
@@ -82,7 +82,7 @@ def quantile_chart(results: Results, range_mm: float | None) -> Figure:
     inks = channel_inks(results.channels)
     figure, axes = chart(THIRD_IN, 2.9)
     axes.set_title(millimetres(range_mm))
-    axes.axline((0, 0), slope=1, color=SOFT, lw=0.8)
+    axes.axline((0, 0), slope=1, color=SOFT_INK, lw=0.8)
     drawn = [
         (w, w.residuals) for w in results.at_range(range_mm) if w.residuals is not None
     ]

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from labkit.figure_style import channel_inks
+from labkit.optics.wavefront import DEFOCUS
 from labkit.plan import About, Plan
 from labkit.report.answer import answer
 from labkit.report.camera_table import light_table, missing_words, part_table, tried_table
@@ -13,7 +14,7 @@ from labkit.report.curves import Curves
 from labkit.report.fit_tables import fit_table, method_table, residual_table
 from labkit.report.focus_table import depth_table, focus_table
 from labkit.report.lens_table import SOURCES, budget_table, lens_table
-from labkit.report.mode_tables import DEFOCUS, difference_table, mode_table, path_table
+from labkit.report.mode_tables import difference_table, mode_table, path_table
 from labkit.report.photographs import Photographs, photograph_table, place_table
 from labkit.report.quantities import (
     UNKNOWN,
@@ -39,7 +40,7 @@ SECTIONS = {
     "downloads": "Files",
     "provenance": "Provenance",
 }
-OPTIONAL = {"lens", "budget", "camera", "fits"}
+OPTIONAL_SECTIONS = {"lens", "budget", "camera", "fits"}
 
 
 def contents(
@@ -54,7 +55,7 @@ def contents(
     )
     reference_nm = m.reference_wavelength_nm
     tables = _tables(m, curves, photographs)
-    shown = set(SECTIONS) - OPTIONAL | (drawn & OPTIONAL)
+    shown = set(SECTIONS) - OPTIONAL_SECTIONS | (drawn & OPTIONAL_SECTIONS)
     shown |= ({"lens"} if tables["lens_table"] or focus else set()) | (
         {"camera"} if m.parts_tried else set()
     )

@@ -19,15 +19,15 @@ from labkit.optics.through_focus import (
     sensor_shift_um,
     strehl_through_focus,
 )
-from labkit.report.best_focus import DIRECTIONS, ChannelFocus, full_nyquist_per_mm
+from labkit.report.best_focus import MTF_DIRECTIONS, ChannelFocus, full_nyquist_per_mm
 from labkit.results import Results
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
-POINTS = 90
+DRAWN_CURVE_POINTS = 90
 REACH_WAVES = 0.21  # RMS in a channel's own light: beyond, there is no peak to speak of
-STEPS = 29
-NEAREST = 1.02  # focal lengths: no nearer target has an image
+CURVE_STEPS = 29
+NEAREST_CURVE = 1.02  # focal lengths: no nearer target has an image
 
 Place = Callable[[float], float]
 """Where a defocus, waves RMS, stands on an axis: a range in mm, or a shift of the sensor in um."""
@@ -100,23 +100,26 @@ def _of_channel(
     results: Results, focus: ChannelFocus, last_per_mm: float, last_um: float
 ) -> Curves:
     fitted = focus.fitted
-    frequency, radius = np.linspace(0, last_per_mm, POINTS), np.linspace(0, last_um, POINTS)
+    frequency, radius = (
+        np.linspace(0, last_per_mm, DRAWN_CURVE_POINTS),
+        np.linspace(0, last_um, DRAWN_CURVE_POINTS),
+    )
     through = full_nyquist_per_mm(results.plan.sensor) / 2
     reach = REACH_WAVES * fitted.wavelength_um / fitted.reference_um
     place = _range_of(results, focus.channel)
-    grid = np.linspace(-reach, reach, STEPS)
+    grid = np.linspace(-reach, reach, CURVE_STEPS)
     if place is not None:
         grid = np.array([d for d in grid if np.isfinite(place(float(d)))])
     curve = strehl_through_focus(fitted, grid)
     return Curves(
         focus,
-        {d: mtf(fitted, frequency, d) for d in DIRECTIONS},
+        {d: mtf(fitted, frequency, d) for d in MTF_DIRECTIONS},
         pixel_mtf(frequency, focus.active_um, "x"),
         mtf(focus.best.ideal.fitted, frequency, "x").value,
         encircled_energy(fitted, radius),
         encircled_energy(focus.best.ideal.fitted, radius).value,
         curve,
-        {d: mtf_through_focus(fitted, through, d, grid) for d in DIRECTIONS},
+        {d: mtf_through_focus(fitted, through, d, grid) for d in MTF_DIRECTIONS},
         through,
         depth_of_focus(fitted, curve),
         place or (lambda waves: sensor_shift_um(fitted, waves)),
@@ -132,7 +135,7 @@ def _range_of(results: Results, channel: str) -> Place | None:
     lens = results.thin_lens
     zero_mm = results.range_zero_mm
     best_mm = focus.best_focus_mm[channel].value + zero_mm
-    nearest_mm, furthest_mm = NEAREST * lens.focal_length_mm, 1e3 * best_mm
+    nearest_mm, furthest_mm = NEAREST_CURVE * lens.focal_length_mm, 1e3 * best_mm
     if not best_mm > nearest_mm:
         return None
 

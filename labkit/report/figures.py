@@ -7,10 +7,10 @@ import numpy as np
 from labkit.figure_style import channel_inks, styled
 from labkit.optics.lens import defocus_waves
 from labkit.report import charts, pictures
-from labkit.report.best_focus import DIRECTIONS, ChannelFocus, full_nyquist_per_mm
+from labkit.report.best_focus import MTF_DIRECTIONS, ChannelFocus, full_nyquist_per_mm
 from labkit.report.budget_chart import budget_chart, variance_shares
 from labkit.report.camera_charts import spectrum_chart
-from labkit.report.curves import NEAREST, Curves
+from labkit.report.curves import NEAREST_CURVE, Curves
 from labkit.report.focus_charts import defocus_chart, energy_chart, residual_chart
 from labkit.report.lens_table import SOURCES, budget_name
 from labkit.report.mtf_charts import mtf_chart
@@ -99,7 +99,9 @@ def _pupil(wavefront: Wavefront) -> Plate:
 def _mtfs(results: Results, curves: Sequence[Curves]) -> Plate:
     inks, panels = channel_inks(results.channels), []
     for c in curves:
-        halves = ", ".join(f"{estimated(c.focus.mtf50(d))} along {d}" for d in DIRECTIONS)
+        halves = ", ".join(
+            f"{estimated(c.focus.mtf50(d))} along {d}" for d in MTF_DIRECTIONS
+        )
         alt = f"MTF of channel {c.channel} at best focus. MTF50, cycles/mm: {halves}."
         panels.append(
             drawing(f"mtf_{c.channel}", mtf_chart(results, c, inks[c.channel]), alt)
@@ -176,7 +178,7 @@ def _focus(results: Results) -> Iterator[Plate]:
             lens, true_mm, best_mm, results.reference_wavelength_nm, plan.fit.convention
         )
 
-    shortest_mm = NEAREST * lens.focal_length_mm
+    shortest_mm = NEAREST_CURVE * lens.focal_length_mm
     figure = defocus_chart(results, focus, curve, shortest_mm)
     if focus is None:
         panel = drawing("focus", figure, "Defocus against range.")

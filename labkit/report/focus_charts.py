@@ -11,7 +11,7 @@ from labkit.figure_style import (
     HALF_IN,
     INK,
     POINT,
-    SOFT,
+    SOFT_INK,
     Ink,
     banded,
     channel_inks,
@@ -25,7 +25,7 @@ from labkit.results.best_focus import SHARE
 from labkit.types import Floats
 
 Curve = Callable[[str, Floats], Floats]  # channel, ranges in mm -> waves RMS
-HEIGHT_IN, LEGEND_IN = 3.0, 0.18
+FOCUS_CHART_IN, LEGEND_IN = 3.0, 0.18
 """Of a chart without its legend, and of a line of the legend above it."""
 
 
@@ -39,7 +39,7 @@ def defocus_chart(
     inks = channel_inks(results.channels)
     figure, axes = _focus_axes(results, right=0.55)
     bounds = _range_bounds(results, focus, shortest_mm)
-    axes.axhline(0, color=SOFT, lw=0.7)
+    axes.axhline(0, color=SOFT_INK, lw=0.7)
     for channel in results.channels:
         fits, ink, label = _with_range(results, channel), inks[channel], channel
         if focus and channel in focus.best_focus_mm:
@@ -74,7 +74,7 @@ def residual_chart(results: Results, focus: Focus, shortest_mm: float) -> Figure
         waves = np.array([each.value for each in rest])
         std = np.array([each.std for each in rest])
         _points(axes, x, 1e3 * waves, 1e3 * std, inks[channel], channel)
-    axes.axhline(0, color=SOFT, lw=0.7)
+    axes.axhline(0, color=SOFT_INK, lw=0.7)
     axes.margins(y=0.25)
     axes.set(
         xlim=bounds,
@@ -88,7 +88,7 @@ def residual_chart(results: Results, focus: Focus, shortest_mm: float) -> Figure
 def _focus_axes(results: Results, right: float = 0.12) -> tuple[Figure, Axes]:
     """Return axes with room above for a line of legend for each channel."""
     above = LEGEND_IN * len(results.channels) + 0.1
-    return chart(HALF_IN, HEIGHT_IN + above, left=0.72, right=right, top=above)
+    return chart(HALF_IN, FOCUS_CHART_IN + above, left=0.72, right=right, top=above)
 
 
 def _legend_above(axes: Axes) -> None:
@@ -176,7 +176,7 @@ def energy_chart(curves: Sequence[Curves], inks: dict[str, Ink]) -> Figure:
             **POINT,
         )
     axes.plot([], [], color=INK, lw=0.8, ls=DOTTED, label="diffraction limit")
-    axes.axhline(SHARE, color=SOFT, lw=0.5, ls=(0, (1, 3)))
+    axes.axhline(SHARE, color=SOFT_INK, lw=0.5, ls=(0, (1, 3)))
     last = curves[0].energy.radius_um[-1]
     axes.set(
         xlim=(0, last),

@@ -13,12 +13,12 @@ from labkit.report.quantities import estimated, fixed, millimetres
 from labkit.report.table import Column, Row, Table, channel_columns
 from labkit.results import Results
 from labkit.results.best_focus import SHARE
+from labkit.results.tables import NOT_FITTED
 from labkit.uncertain import Uncertain
 
-NOT_FITTED = "not fitted"
 PERFECT = "diffraction limit of this pupil"
 NO_LIMIT = "beyond any range"  # of a lens focused so far away that infinity is still sharp
-PITCH = "by the pixel pitch, which the plan states without an error"
+PITCH_NOTE = "by the pixel pitch, which the plan states without an error"
 
 Cell = Callable[[ChannelFocus], str]
 
@@ -64,7 +64,7 @@ def focus_table(focused: Sequence[ChannelFocus], reference_nm: float) -> Table:
             beside=True,
         ),
     )
-    return Table((*NAMED, *channel_columns([b.channel for b in focused])), rows)
+    return Table((*FOCUS_COLUMNS, *channel_columns([b.channel for b in focused])), rows)
 
 
 def _mtf_rows(row: Callable[..., Row]) -> tuple[Row, ...]:
@@ -93,7 +93,7 @@ def _mtf_rows(row: Callable[..., Row]) -> tuple[Row, ...]:
             "Nyquist of its own pixels",
             "cycles/mm",
             lambda b: fixed(b.nyquist_per_mm, 1),
-            why=PITCH,
+            why=PITCH_NOTE,
             first=True,
         ),
         row(
@@ -115,7 +115,7 @@ def _mtf_rows(row: Callable[..., Row]) -> tuple[Row, ...]:
     )
 
 
-NAMED = (Column("at best focus", text=True), Column("", text=True))
+FOCUS_COLUMNS = (Column("at best focus", text=True), Column("", text=True))
 
 
 def depth_table(curves: Sequence[Curves], results: Results) -> Table:

@@ -19,7 +19,7 @@ SOURCES = {
 }
 """Of errors, in the order they are drawn, and what each holds."""
 
-NAMES = {
+LENS_NAMES = {
     "best_focus_mm": ("best focus", "mm"),
     "focal_length_mm": ("focal length", "mm"),
     "f_number": ("f-number at infinity", ""),
@@ -95,7 +95,7 @@ def _share(std: float, digits: int) -> str:
 def budget_name(key: str) -> tuple[str, str]:
     """What a budget's number is called, its channel named, and its unit."""
     quantity, _, channel = key.partition(".")
-    name, unit = NAMES.get(quantity, (quantity.replace("_", " "), ""))
+    name, unit = LENS_NAMES.get(quantity, (quantity.replace("_", " "), ""))
     return (f"{name}, {channel}" if channel else name), unit
 
 

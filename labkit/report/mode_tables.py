@@ -8,6 +8,7 @@ import numpy as np
 
 from labkit.optics import metrics
 from labkit.optics.orders import noll_to_fringe, noll_to_osa
+from labkit.optics.wavefront import DEFOCUS
 from labkit.optics.zernike import mode_name
 from labkit.report.best_focus import ChannelFocus
 from labkit.report.quantities import MINUS, estimated
@@ -16,7 +17,6 @@ from labkit.results import Results, Wavefront
 from labkit.results.verdicts import confirmed, stated
 from labkit.uncertain import Uncertain
 
-DEFOCUS = 4
 ALIKE = 1e-6
 """Waves: modes nearer than this are one estimate for all ranges, written twice."""
 

@@ -22,11 +22,11 @@ from labkit.session.frame import Frame
 from labkit.session.session import Session
 from labkit.types import Floats
 
-MOST_READ = 40  # files whose EXIF is read: of hundreds a few say as much
-PREVIEW_PX = 640
+MOST_EXIF = 40  # files whose EXIF is read: of hundreds a few say as much
+REPORT_PREVIEW_PX = 640
 FILES = "as the photographs' files state it"
-JOURNAL = "as the journal has it"
-CORNERS = "corners are fitted to hundredths of a pixel; their errors are not kept"
+JOURNAL_NOTE = "as the journal has it"
+CORNERS_NOTE = "corners are fitted to hundredths of a pixel; their errors are not kept"
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,7 @@ def photographs_of(results: Results, nearest: Wavefront) -> Photographs:
         return Photographs()
     used = sorted({name for w in results for name in w.frames if name in frames})
     exifs = [
-        exif for name in used[:MOST_READ] if (exif := _exif(frames[name].path)) is not None
+        exif for name in used[:MOST_EXIF] if (exif := _exif(frames[name].path)) is not None
     ]
     events = {
         event["event"]: event
@@ -90,12 +90,12 @@ def photographs_of(results: Results, nearest: Wavefront) -> Photographs:
         ),
         ("ISO", _one(exifs, lambda e: e.iso and str(e.iso)), FILES),
         ("Taken", _span([_exif_time(t) for t in taken]), FILES),
-        ("Added to the session", _span([when(t) for t in times]), JOURNAL),
-        ("Photographs", in_words(session.frames), JOURNAL),
+        ("Added to the session", _span([when(t) for t in times]), JOURNAL_NOTE),
+        ("Photographs", in_words(session.frames), JOURNAL_NOTE),
         (
             "Target as drawn",
             _drawn(events.get("began", {}), results.plan.target.size_mm),
-            JOURNAL,
+            JOURNAL_NOTE,
         ),
     ]
     known = tuple((name, value, why) for name, value, why in rows if value)
@@ -159,7 +159,7 @@ def _drawn(began: dict[str, Any], fitted_mm: float) -> str:
 
 def _either(name: str, in_files: str, in_journal: str) -> tuple[str, str, str]:
     """What files state; what the journal has where they state nothing."""
-    return (name, in_files, FILES) if in_files else (name, in_journal, JOURNAL)
+    return (name, in_files, FILES) if in_files else (name, in_journal, JOURNAL_NOTE)
 
 
 def _preview(path: Path | None, results: Results) -> dict[str, Any]:
@@ -176,7 +176,7 @@ def _preview(path: Path | None, results: Results) -> dict[str, Any]:
         if mosaic.counts.shape == mosaic.shape
         else mosaic.counts.reshape(rows, cols, -1).mean(axis=2)
     )
-    block = max(2, 2 * -(-max(rows, cols) // (2 * PREVIEW_PX)))
+    block = max(2, 2 * -(-max(rows, cols) // (2 * REPORT_PREVIEW_PX)))
     cut = counts[: rows // block * block, : cols // block * block].astype(np.float32)
     small = cut.reshape(cut.shape[0] // block, block, cut.shape[1] // block, block).mean(
         axis=(1, 3)
@@ -224,12 +224,12 @@ def place_table(results: Results, photographs: Photographs) -> Table:
     pitch_mm = results.plan.sensor.pixel_pitch_um * 1e-3
     columns = (
         Column("range", "mm", exact=True),
-        Column("centre, row", "px", why=CORNERS),
-        Column("column", "px", why=CORNERS),
-        Column("side", "px", why=CORNERS),
-        Column("turned by", "degrees", why=CORNERS),
-        Column("from the frame's centre", "mm on the sensor", why=CORNERS),
-        Column("of the half diagonal", "%", why=CORNERS),
+        Column("centre, row", "px", why=CORNERS_NOTE),
+        Column("column", "px", why=CORNERS_NOTE),
+        Column("side", "px", why=CORNERS_NOTE),
+        Column("turned by", "degrees", why=CORNERS_NOTE),
+        Column("from the frame's centre", "mm on the sensor", why=CORNERS_NOTE),
+        Column("of the half diagonal", "%", why=CORNERS_NOTE),
     )
     rows = []
     for range_mm in results.ranges_mm:

@@ -37,7 +37,7 @@ MASKED = (
     206,
     170,
 )  # a pixel left out: neither a grey nor a colour of the residual's scale
-GREYS, SHADES, GAP = 128, 127, 3  # of a chip's palette; pixels between its parts
+GREYS, GREY_SHADES, GAP = 128, 127, 3  # of a chip's palette; pixels between its parts
 LIMIT_MARGIN = 0.01  # waves: of a scale, where a wavefront is flat
 
 
@@ -242,19 +242,19 @@ def chip_image(
     rest = (residuals.normalised[frame, plane] / RESIDUAL_LIMIT + 1) / 2
     grey = [_indices((x - low) / max(high - low, 1e-9), GREYS, 0) for x in (data, model)]
     gap = np.full((data.shape[0], GAP), GREYS - 1, np.uint8)
-    joined = np.hstack([grey[0], gap, grey[1], gap, _indices(rest, SHADES, GREYS)])
+    joined = np.hstack([grey[0], gap, grey[1], gap, _indices(rest, GREY_SHADES, GREYS)])
     return _palette_png(joined), float(low), float(high)
 
 
 def _indices(share: Floats, count: int, first: int) -> NDArray[np.uint8]:
     """0..1 as entries of the palette; those left out as the last one."""
     entries = first + np.round(np.clip(np.nan_to_num(share), 0, 1) * (count - 1))
-    return np.where(np.isfinite(share), entries, GREYS + SHADES).astype(np.uint8)
+    return np.where(np.isfinite(share), entries, GREYS + GREY_SHADES).astype(np.uint8)
 
 
 def _palette_png(indices: NDArray[np.uint8]) -> bytes:
     greys = np.repeat(np.linspace(0, 255, GREYS), 3).reshape(-1, 3)
-    shades = 255 * colormaps["RdBu_r"](np.linspace(0, 1, SHADES))[:, :3]
+    shades = 255 * colormaps["RdBu_r"](np.linspace(0, 1, GREY_SHADES))[:, :3]
     palette = np.vstack([greys, shades, [MASKED]]).round().astype(np.uint8)
     image = Image.fromarray(indices, mode="P")
     image.putpalette(palette.ravel().tolist())

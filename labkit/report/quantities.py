@@ -6,10 +6,10 @@ from math import isfinite, isinf
 from labkit.uncertain import SIGN_OPEN, Uncertain, decimals
 
 MINUS = "\N{MINUS SIGN}"
-NAMES = (
+NAMES_OF_MONTHS = (
     "January February March April May June July August September October November December"
 )
-MONTHS = tuple(NAMES.split())  # not by the locale: the page is in English
+MONTHS = tuple(NAMES_OF_MONTHS.split())  # not by the locale: the page is in English
 UNKNOWN = "\N{EM DASH}"
 MOST_PLACES = 9
 NO_ERROR = "\N{NO-BREAK SPACE}(error\N{NO-BREAK SPACE}unknown)"

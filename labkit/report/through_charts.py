@@ -8,17 +8,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from labkit.figure_style import DASHED, HALF_IN, POINT, SOFT, SOLID, Ink, banded, chart
+from labkit.figure_style import DASHED, HALF_IN, POINT, SOFT_INK, SOLID, Ink, banded, chart
 from labkit.optics.through_focus import DEPTH
-from labkit.report.curves import STEPS, Curves
+from labkit.report.curves import CURVE_STEPS, Curves
 
-HEIGHT_IN = 3.2
-MARK_EVERY = STEPS // 5  # points of a curve to a marker, staggered between channels
+THROUGH_CHART_IN = 3.2
+MARK_EVERY = CURVE_STEPS // 5  # points of a curve to a marker, staggered between channels
 
 
 def strehl_chart(curves: Sequence[Curves], inks: dict[str, Ink]) -> Figure:
     """Strehl ratio of each channel against range with bands of one standard error; its depth of focus as a bar."""
-    figure, axes = chart(HALF_IN, HEIGHT_IN)
+    figure, axes = chart(HALF_IN, THROUGH_CHART_IN)
     for k, each in enumerate(curves):
         ink, strehl = inks[each.channel], each.strehl
         marks = _marks(k, len(curves), ink)
@@ -29,7 +29,7 @@ def strehl_chart(curves: Sequence[Curves], inks: dict[str, Ink]) -> Figure:
             axes.plot(ends, [level, level], color=ink.colour, lw=3, solid_capstyle="butt")
             highest = each.place(each.depth.highest.value)
             axes.plot([highest], [level], ink.marker, color=ink.colour, **POINT)
-    axes.axhline(DEPTH, color=SOFT, lw=0.5, ls=(0, (1, 3)))
+    axes.axhline(DEPTH, color=SOFT_INK, lw=0.5, ls=(0, (1, 3)))
     _frame(axes, curves)
     axes.set_ylabel("Strehl ratio")
     _legend(axes, _channel_keys(curves, inks))
@@ -38,7 +38,7 @@ def strehl_chart(curves: Sequence[Curves], inks: dict[str, Ink]) -> Figure:
 
 def modulation_chart(curves: Sequence[Curves], inks: dict[str, Ink]) -> Figure:
     """MTF of each channel at one frequency along x and y against range: where both part, the lens is astigmatic."""
-    figure, axes = chart(HALF_IN, HEIGHT_IN)
+    figure, axes = chart(HALF_IN, THROUGH_CHART_IN)
     for k, each in enumerate(curves):
         ink, marks = inks[each.channel], _marks(k, len(curves), inks[each.channel])
         for line, curve in zip((SOLID, DASHED), each.modulation.values(), strict=True):
@@ -46,7 +46,7 @@ def modulation_chart(curves: Sequence[Curves], inks: dict[str, Ink]) -> Figure:
     _frame(axes, curves)
     axes.set_ylabel(f"MTF at {curves[0].through_per_mm:.3g} cycles/mm")
     directions = [
-        Line2D([], [], color=SOFT, ls=line, label=label)
+        Line2D([], [], color=SOFT_INK, ls=line, label=label)
         for line, label in ((SOLID, "x"), (DASHED, "y"))
     ]
     _legend(axes, [*_channel_keys(curves, inks), *directions])

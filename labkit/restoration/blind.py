@@ -11,11 +11,11 @@ from labkit.restoration.job import Job
 from labkit.restoration.tiles import CHOSEN_ON, areas_of
 from labkit.types import Floats, Progress, no_progress
 
-SPAN_WAVES, COARSE = (
+SPAN_WAVES, COARSE_STEP = (
     1.6,
     0.1,
 )  # of the search, from best focus on; its step, then a quarter of it
-PARTS, LEAST_PARTS, PART_PX = (
+MOST_PARTS, LEAST_PARTS, BLIND_PART_PX = (
     6,
     3,
     32,
@@ -50,8 +50,8 @@ def fitted_defocus(job: Job, progress: Progress = no_progress) -> tuple[Job, Def
     own = float(
         np.mean([colour.waves[colour.optics.noll.index(4)] for colour in job.colours])
     )
-    coarse = np.arange(0, SPAN_WAVES + COARSE / 2, COARSE)
-    fine = np.arange(-0.75, 0.76, 0.25) * COARSE
+    coarse = np.arange(0, SPAN_WAVES + COARSE_STEP / 2, COARSE_STEP)
+    fine = np.arange(-0.75, 0.76, 0.25) * COARSE_STEP
     total = len(coarse) + len(fine)
 
     def scored(places: Floats, done: int) -> Floats:
@@ -87,7 +87,7 @@ def moved(job: Job, by_waves: float) -> Job:
 def _unlikely(job: Job) -> Floats:
     """(parts,) of a job."""
     coarse = job.of_samples(min(CHOSEN_ON, job.nyquist_samples))
-    views = [coarse.views(area) for area in areas_of(job, PART_PX)[:PARTS]]
+    views = [coarse.views(area) for area in areas_of(job, BLIND_PART_PX)[:MOST_PARTS]]
     return np.array(
         [unlikeliness(view, job.coupling) for view in views if view is not None]
     )

@@ -18,7 +18,7 @@ from labkit.restoration.kriging import Kriging, Stiffness
 from labkit.restoration.views import Views
 from labkit.types import AnyFloats, Complexes, Floats, Floats32
 
-LEVELS = 6
+ERROR_LEVELS = 6
 FAINTEST = 1e-3  # of the usual weight: less counts as this much
 NEAR_CELLS = (
     1.0  # standard deviation, cells, of the neighbourhood whose counts a sample hangs on
@@ -53,7 +53,7 @@ def standard_errors(
     )
     level = np.log(np.maximum(near, FAINTEST))
     at = (
-        np.linspace(level.min(), level.max(), LEVELS)
+        np.linspace(level.min(), level.max(), ERROR_LEVELS)
         if np.ptp(level) > 1e-6
         else np.array([level.mean()])
     )

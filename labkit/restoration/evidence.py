@@ -18,7 +18,11 @@ POWERS = (
     2.0,
 )  # of w^2 that a scene's spectrum falls with: many edges, few edges, none
 CONTRAST = 2.0  # standard deviation over mean of a scene, at most: what is nowhere below 0 has little more
-BEGIN, STEP, MOST = -3.0, 0.5, 1.0  # decades of the stiffness about the unit of `Trial`
+FIRST_DECADE, DECADE_STEP, MOST_DECADES = (
+    -3.0,
+    0.5,
+    1.0,
+)  # decades of the stiffness about the unit of `Trial`
 
 
 def unlikeliness(views: Views, coupling: Floats) -> float:
@@ -39,12 +43,22 @@ def _least(trial: Trial) -> float:
     def unlikely(decade: float) -> float:
         return trial.unlikely(trial.unit * 10**decade)
 
-    at = max(BEGIN, lowest)
-    here, below, above = (unlikely(at + k * STEP) for k in (0, -1, 1))
-    while below < here and at - STEP > lowest:
-        at, here, above, below = at - STEP, below, here, unlikely(at - 2 * STEP)
-    while above < here and at < MOST:
-        at, here, below, above = at + STEP, above, here, unlikely(at + 2 * STEP)
+    at = max(FIRST_DECADE, lowest)
+    here, below, above = (unlikely(at + k * DECADE_STEP) for k in (0, -1, 1))
+    while below < here and at - DECADE_STEP > lowest:
+        at, here, above, below = (
+            at - DECADE_STEP,
+            below,
+            here,
+            unlikely(at - 2 * DECADE_STEP),
+        )
+    while above < here and at < MOST_DECADES:
+        at, here, below, above = (
+            at + DECADE_STEP,
+            above,
+            here,
+            unlikely(at + 2 * DECADE_STEP),
+        )
     bend = below - 2 * here + above
     inside = bend > 0 and here <= min(below, above)
     return here - (above - below) ** 2 / (8 * bend) if inside else min(here, above)

@@ -19,7 +19,7 @@ from labkit.restoration.grid import SceneGrid
 from labkit.restoration.views import Views
 from labkit.types import AnyComplexes, AnyFloats, Complexes, Floats, Floats32
 
-TOLERANCE, MOST_STEPS = 1e-3, 400  # of conjugate gradients
+GRADIENT_TOLERANCE, MOST_GRADIENT_STEPS = 1e-3, 400  # of conjugate gradients
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +129,10 @@ class Kriging:
         return other
 
     def solve(
-        self, data: Floats, start: Floats | None = None, tolerance: float = TOLERANCE
+        self,
+        data: Floats,
+        start: Floats | None = None,
+        tolerance: float = GRADIENT_TOLERANCE,
     ) -> Floats:
         """(views, rows, columns) u of (W^-1 + H K^-1 H^T) u = data at used counts, 0 elsewhere; conjugate gradients."""
         solution = np.zeros_like(data) if start is None else start.copy()
@@ -138,7 +141,7 @@ class Kriging:
         enough = tolerance**2 * float(np.sum(wanted * wanted))
         near = self._nearly(rest)
         direction, product = near, float(np.sum(rest * near))
-        for _ in range(MOST_STEPS):
+        for _ in range(MOST_GRADIENT_STEPS):
             if not (product > 0 and np.sum(rest * rest) > enough):
                 break
             image = self.apply(direction)

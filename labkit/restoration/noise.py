@@ -13,14 +13,14 @@ from scipy.special import chdtri
 from labkit.restoration.job import Colour, Exposure
 from labkit.types import Bools, Floats
 
-STRIDE, SIDE = (
+DIFFERENCE_STRIDE, SQUARE_SIDE = (
     3,
     4,
 )  # between differences that share no count, and differences to a square's side
 QUIET = 0.1  # share of a brightness's squares that show noise alone
-LEVELS, LEAST_SQUARES = 12, 100
+NOISE_LEVELS, LEAST_SQUARES = 12, 100
 LEAST_VARIANCE = 1 / 12  # of rounding
-ROUNDS = 5
+NOISE_ROUNDS = 5
 
 
 def own_noise(
@@ -38,9 +38,11 @@ def own_noise(
     if level.size < LEAST_SQUARES:
         return None
     order = np.argsort(level)
-    groups = [group for group in np.array_split(order, LEVELS) if level[group].mean() > 0]
+    groups = [
+        group for group in np.array_split(order, NOISE_LEVELS) if level[group].mean() > 0
+    ]
     usual = (
-        float(chdtri(SIDE**2, 1 - QUIET)) / SIDE**2
+        float(chdtri(SQUARE_SIDE**2, 1 - QUIET)) / SQUARE_SIDE**2
     )  # of noise alone that quantile, over its mean
     at = np.array([level[group].mean() for group in groups])
     found = np.array([np.quantile(variance[group], QUIET) for group in groups]) / usual
@@ -51,11 +53,13 @@ def own_noise(
 def _squares(counts: Floats, used: Bools) -> Floats:
     """(2, squares): mean level, and variance by second differences along both axes, of one plane."""
     kernel = np.outer((1.0, -2.0, 1.0), (1.0, -2.0, 1.0)) / 6  # of unit noise unit noise
-    rows, columns = (side // (STRIDE * SIDE) * SIDE for side in counts.shape)
-    cells = (rows, STRIDE, columns, STRIDE)
-    cut = (slice(STRIDE * rows), slice(STRIDE * columns))
+    rows, columns = (
+        side // (DIFFERENCE_STRIDE * SQUARE_SIDE) * SQUARE_SIDE for side in counts.shape
+    )
+    cells = (rows, DIFFERENCE_STRIDE, columns, DIFFERENCE_STRIDE)
+    cut = (slice(DIFFERENCE_STRIDE * rows), slice(DIFFERENCE_STRIDE * columns))
     apart = np.einsum("iajb,ab->ij", counts[cut].reshape(cells), kernel)
-    whole = (rows // SIDE, SIDE, columns // SIDE, SIDE)
+    whole = (rows // SQUARE_SIDE, SQUARE_SIDE, columns // SQUARE_SIDE, SQUARE_SIDE)
     level = counts[cut].reshape(cells).mean(axis=(1, 3)).reshape(whole).mean(axis=(1, 3))
     there = np.all(
         np.all(used[cut].reshape(cells), axis=(1, 3)).reshape(whole), axis=(1, 3)
@@ -66,7 +70,7 @@ def _squares(counts: Floats, used: Bools) -> Floats:
 def _line(level: Floats, variance: Floats) -> tuple[float, float]:
     """Slope and floor, neither below 0, of relative least squares: a square's variance errs by a share of itself."""
     expected = variance
-    for _ in range(ROUNDS):
+    for _ in range(NOISE_ROUNDS):
         slope, floor = nnls(
             np.column_stack([level, np.ones(level.size)]) / expected[:, None],
             variance / expected,

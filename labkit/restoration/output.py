@@ -16,7 +16,7 @@ from labkit.errors import InputError
 from labkit.files import write_atomically, writing
 from labkit.types import Floats32
 
-RESTORED, STD, SHOWN, ABOUT, SIXTEEN = (
+RESTORED, STD, SHOWN, RESTORATION_JSON, SIXTEEN = (
     "restored.tif",
     "std.tif",
     "restored.png",
@@ -29,7 +29,7 @@ MOST_SHOWN_PX = 4096  # longer sides are shown smaller
 
 def refuse_full(folder: Path) -> None:
     """Raise InputError where an earlier restoration lies in a folder: nothing is overwritten."""
-    if (folder / ABOUT).exists():
+    if (folder / RESTORATION_JSON).exists():
         raise InputError(
             f"{folder} holds a restoration already: give another folder with --out"
         )
@@ -59,7 +59,8 @@ def write(
         )
     write_atomically(folder / SHOWN, picture(scene))
     write_atomically(
-        folder / ABOUT, json.dumps(dict(about), indent=1, allow_nan=False).encode() + b"\n"
+        folder / RESTORATION_JSON,
+        json.dumps(dict(about), indent=1, allow_nan=False).encode() + b"\n",
     )
 
 

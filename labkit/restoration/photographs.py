@@ -19,12 +19,12 @@ from labkit.restoration.job import Area, Exposure
 from labkit.session.frame import Frame
 from labkit.types import Floats
 
-SAME_APERTURE, SAME_FOCAL, SAME_PITCH = (
+SAME_APERTURE, SAME_FOCAL, SAME_SENSOR_PITCH = (
     0.06,
     0.06,
     0.03,
 )  # relative: a third of a stop is 0.12
-LEAST_PX = 16
+LEAST_PHOTOGRAPH_PX = 16
 """Of a photograph's side, or a cut of it."""
 
 
@@ -89,9 +89,9 @@ def whole_cells(mosaic: Photograph, area: Area | None, path: Path) -> Area:
     first, last = (
         [-(-part.start // period) * period, part.stop // period * period] for part in area
     )
-    if min(first[1] - first[0], last[1] - last[0]) < LEAST_PX:
+    if min(first[1] - first[0], last[1] - last[0]) < LEAST_PHOTOGRAPH_PX:
         raise DataError(
-            f"{path.name}: a part of {LEAST_PX} x {LEAST_PX} pixels at least is needed"
+            f"{path.name}: a part of {LEAST_PHOTOGRAPH_PX} x {LEAST_PHOTOGRAPH_PX} pixels at least is needed"
         )
     return slice(*first), slice(*last)
 
@@ -134,7 +134,7 @@ def refuse_other_camera(
             "pixel pitch in um ",
             theirs.pixel_pitch_um,
             plan.sensor.pixel_pitch_um,
-            SAME_PITCH,
+            SAME_SENSOR_PITCH,
         ),
     ):
         if stated and abs(stated / usual - 1) > same:

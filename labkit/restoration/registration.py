@@ -15,10 +15,13 @@ from labkit.restoration.kriging import Kriging, Stiffness
 from labkit.restoration.views import Views
 from labkit.types import AnyComplexes, Floats, Floats32
 
-MOST_STEPS, ENOUGH = 200, 1e-7  # of the search
+MOST_SEARCH_STEPS, SEARCH_TOLERANCE = 200, 1e-7  # of the search
 SMOOTH_CELLS = 5  # width of the filter that noise and aliases are taken off by
-COARSE, MIDDLE_PX = 4, 192  # samples a pixel, and pixels, that motions are estimated with
-SOFT, LONGEST_PX = 1e-3, 120.0  # of the penalty meanwhile
+MOTION_SAMPLES, MIDDLE_PX = (
+    4,
+    192,
+)  # samples a pixel, and pixels, that motions are estimated with
+SOFT_PENALTY, LONGEST_PX = 1e-3, 120.0  # of the penalty meanwhile
 USUAL_TURN = 2e-4  # of frames taken one after the other, standard deviation
 MOST_TURN = 0.02  # of a motion that tiles take as shifts: rows and columns that turn or grow by more, a pixel in fifty
 
@@ -42,7 +45,11 @@ def registered(
         one, two, cv2.createHanningWindow(one.shape[::-1], cv2.CV_32F)
     )
     begin[:, 2] = shift
-    criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, MOST_STEPS, ENOUGH)
+    criteria = (
+        cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT,
+        MOST_SEARCH_STEPS,
+        SEARCH_TOLERANCE,
+    )
     try:
         _, warp = cv2.findTransformECC(
             one, two, begin, cv2.MOTION_TRANSLATION, criteria, whole, SMOOTH_CELLS
@@ -65,7 +72,7 @@ def refined(job: Job) -> Job:
     if len(job.photographs) == 1:
         return job
     area = _middle(job)
-    coarse = job.of_samples(min(COARSE, job.nyquist_samples))
+    coarse = job.of_samples(min(MOTION_SAMPLES, job.nyquist_samples))
     for known in (1, 1, *2 * [len(job.photographs)]):
         views = replace(coarse, photographs=coarse.photographs[:known]).views(area)
         if views is None:
@@ -90,7 +97,7 @@ def _scene(views: Views, job: Job) -> AnyComplexes:
     means = [view.light * levels[view.component] for view in views]
     weights = views.weights(means)
     density = sum(float(w.mean()) for w in weights) / len(job.photographs) / job.period**2
-    rough = SOFT * density / (np.pi / 2) ** 2 / job.samples**2
+    rough = SOFT_PENALTY * density / (np.pi / 2) ** 2 / job.samples**2
     kriging = Kriging(
         views,
         Stiffness(views.grid, job.coupling, rough, rough * (2 * np.pi / LONGEST_PX) ** 2),

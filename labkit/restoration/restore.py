@@ -14,6 +14,7 @@ import numpy as np
 
 from labkit.analysis.measured_camera import optics_behind
 from labkit.calibration.calibrate import calibrate
+from labkit.calibration.photon_transfer import ROUNDING_VARIANCE
 from labkit.errors import DataError
 from labkit.optics.lens import blur_per_wave_um
 from labkit.plan.sensor import MONO
@@ -39,12 +40,11 @@ from labkit.results import Results, Wavefront
 from labkit.session.session import Session
 from labkit.types import Floats, Floats32, Progress, no_progress
 
-TILE_PX, LEAST_TILE_PX = 256, 64
+RESTORED_TILE_PX, LEAST_TILE_PX = 256, 64
 LEAST_GUARD_PX, GUARD_AIRY = (
     12,
     24.0,
 )  # beyond the geometric blur: of pixels, and of lambda N, for diffraction
-ROUNDING = 1 / 12  # counts squared
 
 
 @dataclass(frozen=True)
@@ -264,7 +264,7 @@ def _colour(
         optics_behind(results, results.plan, wavefront),
         waves_at(results, wavefront, None if wanted.fit_defocus else range_mm),
         wavefront.gain,
-        wavefront.read_noise**2 + ROUNDING,
+        wavefront.read_noise**2 + ROUNDING_VARIANCE,
     )
 
 
@@ -345,9 +345,11 @@ def _tile(job: Job, wanted: Wanted) -> int:
     def fits(tile: int) -> bool:
         return _whole_bytes(job, tile, 1) <= free
 
-    sizes = [max(job.shape)] if max(job.shape) <= TILE_PX else []
+    sizes = [max(job.shape)] if max(job.shape) <= RESTORED_TILE_PX else []
     sizes += [
-        tile for tile in (TILE_PX, 192, 128, 96, LEAST_TILE_PX) if tile < max(job.shape)
+        tile
+        for tile in (RESTORED_TILE_PX, 192, 128, 96, LEAST_TILE_PX)
+        if tile < max(job.shape)
     ]
     best = next((tile for tile in sizes if fits(tile)), None)
     asked = wanted.tile_px

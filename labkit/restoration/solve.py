@@ -18,7 +18,7 @@ from labkit.restoration.roughness import Norm, Roughness
 from labkit.restoration.views import Views
 from labkit.types import AnyComplexes, AnyFloats, Floats, Floats32
 
-MOST_STEPS, MOST_TURNS = 12, 15
+MOST_SOLVER_STEPS, MOST_TURNS = 12, 15
 PULL = 0.02  # of the data's curvature, for what is constant
 OVER = 1.6  # relaxation: between 1.5 and 1.8 is usual
 SAME_NORM = 0.01  # relative: lambda need be no more exact
@@ -108,7 +108,7 @@ def restore(
         begin, solver.multiplier = start.scene, start.multiplier
     point = Point.of(views, penalty, np.maximum(begin, 0))
     steps = 0
-    for steps in range(1, MOST_STEPS + 1 if start is None else 2):
+    for steps in range(1, MOST_SOLVER_STEPS + 1 if start is None else 2):
         moved = _searched(views, penalty, point, solver.step(point))
         gained = point.value - moved.value
         point = moved

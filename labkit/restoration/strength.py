@@ -18,14 +18,14 @@ from labkit.types import Floats
 
 Choice = Literal["discrepancy", "l-curve"]
 
-LONGEST_PX = 120.0  # period of waves that roughness alone decides on: longer ones are pulled to the mean
-SMOOTH = 1.0  # cells, of counts that tell their own variance
-LEAST, MOST = (
+LONGEST_ROUGH_PX = 120.0  # period of waves that roughness alone decides on: longer ones are pulled to the mean
+SMOOTHING_CELLS = 1.0  # cells, of counts that tell their own variance
+LEAST_DECADE, MOST_DECADE = (
     -6.0,
     4.0,
 )  # decades of the stiffness about that at which the penalty is as stiff as the data are at PER_PX
 PER_PX = 0.25  # cycles
-EXACT, STRIDE = 0.02, 0.25  # decades
+EXACT, DECADE_STRIDE = 0.02, 0.25  # decades
 BENDS = 41  # points of an L-curve
 LOOSE = 1e-2  # of the equations that only a trace comes from
 
@@ -61,7 +61,7 @@ def choose(
         return Strength(
             unit * 10 ** _cross_validated(trials, unit, 0.5 * (low + high)), how
         )
-    decades = np.linspace(LEAST, MOST, BENDS)
+    decades = np.linspace(LEAST_DECADE, MOST_DECADE, BENDS)
     points = np.array(
         [np.sum([trial.corner(unit * 10**d) for trial in trials], axis=0) for d in decades]
     )
@@ -77,12 +77,12 @@ def choose(
 def _cross_validated(trials: Sequence[Trial], unit: float, from_decade: float) -> float:
     """The decade from there on, up the strengths, to where the score rises."""
     data, decade, here = sum(trial.views.data for trial in trials), from_decade, np.inf
-    while decade < MOST:
+    while decade < MOST_DECADE:
         squares, left = np.sum([trial.sums(unit * 10**decade) for trial in trials], axis=0)
         there = float(np.log(squares) - 2 * np.log(max(left, 1e-6 * data)))
         if there >= here:
-            return max(decade - STRIDE, from_decade)
-        decade, here = decade + STRIDE, there
+            return max(decade - DECADE_STRIDE, from_decade)
+        decade, here = decade + DECADE_STRIDE, there
     return decade
 
 
@@ -96,10 +96,10 @@ def _excess_of(trials: Sequence[Trial], unit: float) -> Callable[[float], float]
 def _bracket(excess: Callable[[float], float]) -> tuple[float, float]:
     """Decades between which the excess changes sign, or the end of the range that it points to."""
     low, high = -1.0, 0.0
-    while excess(low) > 0 and low > LEAST:
+    while excess(low) > 0 and low > LEAST_DECADE:
         low, high = low - 1.0, low
     if high == 0.0:
-        while excess(high) < 0 and high < MOST:
+        while excess(high) < 0 and high < MOST_DECADE:
             low, high = high, high + 1.0
     return low, high
 
@@ -132,7 +132,7 @@ class Trial:
         density = sum(float(np.mean(w)) for w in self.weights) / views.grid.period**2
         self.unit = density / (2 * np.pi * PER_PX) ** 2
         soft = 1 / views.grid.samples**2
-        pull = soft * (2 * np.pi / LONGEST_PX) ** (2 * power)
+        pull = soft * (2 * np.pi / LONGEST_ROUGH_PX) ** (2 * power)
         self.soft = Kriging(
             views, Stiffness(views.grid, coupling, soft, pull, power), self.weights
         )
@@ -178,8 +178,8 @@ class Trial:
 
 def _weight(view: View) -> Floats:
     """Of counts by the smoothed counts' own variance."""
-    share = ndimage.gaussian_filter(view.used.astype(float), SMOOTH)
+    share = ndimage.gaussian_filter(view.used.astype(float), SMOOTHING_CELLS)
     mean = ndimage.gaussian_filter(
-        np.where(view.used, view.counts, 0.0), SMOOTH
+        np.where(view.used, view.counts, 0.0), SMOOTHING_CELLS
     ) / np.maximum(share, 1e-6)
     return view.weight(np.maximum(mean, 0.0))

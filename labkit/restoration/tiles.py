@@ -22,10 +22,12 @@ from labkit.restoration.strength import Choice, Strength, choose
 from labkit.restoration.views import Views
 from labkit.types import Bools, Floats, Floats32, Progress, no_progress
 
-COARSE = 2  # samples to a pixel, on which the bound's active samples are found first
+COARSE_SAMPLES = (
+    2  # samples to a pixel, on which the bound's active samples are found first
+)
 CHOSEN_ON = 4  # samples to a pixel, at most, that a strength is chosen on
-PARTS, PART_PX = 3, 96  # what a strength is chosen by
-SEED = 1
+STRENGTH_PARTS, STRENGTH_PART_PX = 3, 96  # what a strength is chosen by
+STRENGTH_SEED = 1
 BYTES_A_SAMPLE, BYTES_A_PLANE = (
     130,
     12,
@@ -90,7 +92,9 @@ def restore_job(
     progress(0, total, "choosing how smooth")
     square = guessed_square(job)
     if isinstance(strength, str):
-        chosen = choose(parts_of(job), job.coupling, strength, np.random.default_rng(SEED))
+        chosen = choose(
+            parts_of(job), job.coupling, strength, np.random.default_rng(STRENGTH_SEED)
+        )
     else:
         chosen = Strength(2 * strength / square, "hand")
     by_hand = strength if isinstance(strength, int | float) else 0.0
@@ -194,7 +198,7 @@ def _small_cells(job: Job) -> int:
 def _restored(job: Job, task: Task, step: Callable[[], None]) -> tuple[Views, Restored]:
     """Of a tile, with its views."""
     start, done = None, list[tuple[Views, Restored]]()
-    for samples in dict.fromkeys((min(COARSE, job.samples), job.samples)):
+    for samples in dict.fromkeys((min(COARSE_SAMPLES, job.samples), job.samples)):
         views = job.of_samples(samples).views(task.area)
         assert views is not None
         penalty = Roughness(views.grid, views.seen(), task.strength, job.coupling)
@@ -242,9 +246,10 @@ def parts_of(job: Job) -> list[Views]:
     On samples fine enough for the lens: what a coarser grid cannot hold of the scene would pass for noise.
     """
     coarse = job.of_samples(min(CHOSEN_ON, job.nyquist_samples))
-    areas = areas_of(job, PART_PX // job.period * job.period)
+    areas = areas_of(job, STRENGTH_PART_PX // job.period * job.period)
     chosen = dict.fromkeys(
-        k * (len(areas) - 1) // (PARTS - 1) for k in range(min(PARTS, len(areas)))
+        k * (len(areas) - 1) // (STRENGTH_PARTS - 1)
+        for k in range(min(STRENGTH_PARTS, len(areas)))
     )
     views = [coarse.views(areas[k]) for k in chosen]
     if not (found := [view for view in views if view is not None]):

@@ -14,7 +14,7 @@ from pydantic_core import CoreSchema, core_schema
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
-MOST_WAVES = 1e3
+MOST_KEPT_WAVES = 1e3
 """RMS, of any mode."""
 
 Made = TypeVar("Made")
@@ -109,7 +109,7 @@ Maybe = Finite | None
 Number = Annotated[float, Kept(Maybe, number, null)]
 Std = Annotated[Finite, Field(ge=0)] | None
 StdNumber = Annotated[float, Kept(Std, number, null)]
-Waves = Annotated[Finite, Field(ge=-MOST_WAVES, le=MOST_WAVES)]
+Waves = Annotated[Finite, Field(ge=-MOST_KEPT_WAVES, le=MOST_KEPT_WAVES)]
 Nanometres = Annotated[Finite, Field(ge=10, le=100_000)]
 Noll = Annotated[int, Field(ge=1, le=10_000)]
 Range = Annotated[Finite, Field(gt=0, le=1e7)]

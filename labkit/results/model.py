@@ -25,7 +25,7 @@ from labkit.results.best_focus import BestFocus
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
-ROUNDING = 1e-6
+CORRELATION_ROUNDING = 1e-6
 """Of correlations, in results that are written as numbers of a file."""
 
 
@@ -367,7 +367,9 @@ def refuse_no_covariance(name: str, matrix: Floats) -> None:
         scaled = matrix / np.where(scales > 0, scales, 1.0)
     if not np.isfinite(scaled).all():
         raise ValueError(f"{name} has a variance below 0")
-    if not np.allclose(scaled, scaled.T, rtol=0, atol=ROUNDING):
+    if not np.allclose(scaled, scaled.T, rtol=0, atol=CORRELATION_ROUNDING):
         raise ValueError(f"{name} is not symmetric")
-    if matrix.size and np.linalg.eigvalsh(scaled).min() < -ROUNDING * len(matrix):
+    if matrix.size and np.linalg.eigvalsh(scaled).min() < -CORRELATION_ROUNDING * len(
+        matrix
+    ):
         raise ValueError(f"{name} has a variance below 0")

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from pydantic import Field, ValidationError
 
-from labkit.errors import LONGEST, shown
+from labkit.errors import LONGEST_VALUE, shown
 from labkit.findings import NOTE, Finding
 from labkit.key import Key
 from labkit.optics.rim import ROUND, Circle, Cut, Diaphragm, Rim
@@ -78,7 +78,7 @@ FIRST_WITH_FINDINGS = 3
 MOST_OTHERS = 5
 """Number of other optima that are kept, the likeliest."""
 
-UNITS = {"px": "px", "px2": "px²", "nm": "nm", "deg": "deg"}
+QUANTITY_UNITS = {"px": "px", "px2": "px²", "nm": "nm", "deg": "deg"}
 """Units of the camera's numbers, by the end of their names."""
 
 
@@ -436,7 +436,7 @@ class Content(Entry):
             return cls.model_validate_json(content)
         except ValidationError as error:
             first = error.errors(include_url=False, include_context=False)[0]
-            where = ".".join(str(step)[:LONGEST] for step in first["loc"])
+            where = ".".join(str(step)[:LONGEST_VALUE] for step in first["loc"])
             held = first["input"] if first["type"] != "missing" else None
             found = "" if held is None or isinstance(held, dict) else f" = {shown(held)}"
             raise ValueError(f"{where}{found}: {first['msg']}") from None
@@ -465,7 +465,7 @@ class Content(Entry):
             "wavefronts": tuple(entry.wavefront(plan) for entry in self.wavefronts),
             "lens": None if self.lens is None else self.lens.made(Lens),
             "model_parts": {
-                name: replace(number, unit=UNITS.get(name.rpartition("_")[2], ""))
+                name: replace(number, unit=QUANTITY_UNITS.get(name.rpartition("_")[2], ""))
                 for name, number in self.model_parts.items()
             },
             "findings": self._findings(),

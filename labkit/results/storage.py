@@ -30,15 +30,18 @@ from labkit.results.schema import READABLE, Content
 if TYPE_CHECKING:
     from labkit.results.results import Results
 
-RESULTS, RESIDUALS, PSFS = "results.json", "residuals.npz", "psf.npz"
+RESULTS_FILE, RESIDUALS, PSFS = "results.json", "residuals.npz", "psf.npz"
 PSF_SAMPLES_PER_AIRY = 6.0  # of the shortest wavelength's lambda N: three times Nyquist, fine enough to interpolate
 PSF_HALF_WIDTH_AIRY = (
     32.0  # of the longest wavelength's lambda N: 0.6 % of the light lies beyond
 )
-PARTS = ("data", "model", "sigma")  # of residuals
-MOST_BYTES = 8  # of a number
-MOST_PIXELS = 2**28  # of any photograph
-REPORT = ("report.html", "figures")  # made of results: stale as soon as there are others
+RESIDUAL_PARTS = ("data", "model", "sigma")  # of residuals
+MOST_NUMBER_BYTES = 8  # of a number
+MOST_RESULT_PIXELS = 2**28  # of any photograph
+REPORT_FILES = (
+    "report.html",
+    "figures",
+)  # made of results: stale as soon as there are others
 
 
 def write(folder: Path, results: Results) -> Path:
@@ -52,14 +55,15 @@ def write(folder: Path, results: Results) -> Path:
     files = {  # made before the first is written: files of two fits never lie side by side for long
         PSFS: npz.packed(psfs(results.wavefronts)),
         RESIDUALS: npz.packed(_residuals(results.wavefronts)),
-        RESULTS: json.dumps(entry(results), indent=1, allow_nan=False).encode() + b"\n",
+        RESULTS_FILE: json.dumps(entry(results), indent=1, allow_nan=False).encode()
+        + b"\n",
     }
-    (folder / REPORT[0]).unlink(missing_ok=True)
-    drop_link(folder / REPORT[1])
-    shutil.rmtree(folder / REPORT[1], ignore_errors=True)
+    (folder / REPORT_FILES[0]).unlink(missing_ok=True)
+    drop_link(folder / REPORT_FILES[1])
+    shutil.rmtree(folder / REPORT_FILES[1], ignore_errors=True)
     for name, packed in files.items():
         write_atomically(folder / name, packed)
-    return folder / RESULTS
+    return folder / RESULTS_FILE
 
 
 def read(folder: Path, name: str) -> dict[str, Any]:
@@ -70,10 +74,10 @@ def read(folder: Path, name: str) -> dict[str, Any]:
     session = folder / "results"
     place = (
         session / check_name(name)
-        if session.is_dir() or not (folder / RESULTS).exists()
+        if session.is_dir() or not (folder / RESULTS_FILE).exists()
         else folder
     )
-    path = place / RESULTS
+    path = place / RESULTS_FILE
     refuse_links(session, place, path, place / RESIDUALS)
     try:
         text = path.read_text(encoding="utf-8")
@@ -104,7 +108,7 @@ def read(folder: Path, name: str) -> dict[str, Any]:
 def kept_keys(folder: Path) -> set[Key]:
     """Keys of the wavefronts whose results a folder holds; empty where it holds none that can be read."""
     try:
-        content = Content.parse((folder / RESULTS).read_text(encoding="utf-8"))
+        content = Content.parse((folder / RESULTS_FILE).read_text(encoding="utf-8"))
         return {entry.identity for entry in content.wavefronts}
     except (OSError, ValueError):
         return set()
@@ -138,27 +142,27 @@ def _residuals(wavefronts: Sequence[Wavefront]) -> dict[str, npt.NDArray[Any]]:
         f"{part}_{w.key}": getattr(w.residuals, part).astype(np.float32)
         for w in wavefronts
         if w.residuals is not None
-        for part in PARTS
+        for part in RESIDUAL_PARTS
     }
 
 
 def _others(session: Path) -> str:
-    names = sorted(path.parent.name for path in session.glob(f"*/{RESULTS}"))
+    names = sorted(path.parent.name for path in session.glob(f"*/{RESULTS_FILE}"))
     return f"; results there are: {', '.join(names)} (--name)" if names else ""
 
 
 def _with_residuals(wavefronts: Sequence[Wavefront], path: Path) -> Iterator[Wavefront]:
     """Yield wavefronts with their residuals in a file, where it holds them."""
     most_bytes = {
-        f"{part}_{w.key}": MOST_BYTES * len(w.poses) * _pixels(w)
+        f"{part}_{w.key}": MOST_NUMBER_BYTES * len(w.poses) * _pixels(w)
         for w in wavefronts
-        for part in PARTS
+        for part in RESIDUAL_PARTS
     }
     try:
         content = path.read_bytes() if path.exists() else None
         arrays = {} if content is None else npz.unpacked(content, most_bytes.get)
         for w in wavefronts:
-            names = [f"{part}_{w.key}" for part in PARTS]
+            names = [f"{part}_{w.key}" for part in RESIDUAL_PARTS]
             if all(name in arrays for name in names):
                 w = replace(w, residuals=Residuals(*(arrays[name] for name in names)))
             yield w
@@ -168,7 +172,7 @@ def _with_residuals(wavefronts: Sequence[Wavefront], path: Path) -> Iterator[Wav
 
 def _pixels(w: Wavefront) -> int:
     """Return the largest number of pixels that a wavefront was fitted to in a photograph."""
-    return MOST_PIXELS if w.placement is None else prod(w.placement.shape_px)
+    return MOST_RESULT_PIXELS if w.placement is None else prod(w.placement.shape_px)
 
 
 def _plan(content: Content, folder: Path) -> Plan:

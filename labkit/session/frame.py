@@ -15,7 +15,7 @@ from labkit.findings import Finding, found
 from labkit.session.journal import Event
 from labkit.types import FRAME_KINDS, FrameKind
 
-FRAMES = "frames"
+FRAMES_FOLDER = "frames"
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +38,7 @@ def frame_of(event: Event, folder: Path) -> Frame:
     return Frame(
         **{key: event[key] for key in named},
         exposure_s=event.get("exposure_s"),
-        path=folder / FRAMES / event["file"],
+        path=folder / FRAMES_FOLDER / event["file"],
         meta=MappingProxyType(
             {key: event[key] for key in event if key not in (*named, "event", "exposure_s")}
         ),
@@ -48,11 +48,11 @@ def frame_of(event: Event, folder: Path) -> Frame:
 def event_problem(event: Event) -> str | None:
     """Describe missing or impossible values of an event; None if there are none."""
     name = event["event"]
-    needed = NEEDED.get(name, ())
+    needed = NEEDED_IN_EVENT.get(name, ())
     if absent := [key for key in ("time", *needed) if key not in event]:
         return f'"{name}" without {", ".join(absent)}'
     if name in READ_AGAIN:
-        for key, allowed in ALLOWED.items():
+        for key, allowed in ALLOWED_IN_EVENT.items():
             if key in event and not allowed(event[key]):
                 return f'"{name}" with {key} = {_short(event[key])}'
     return None
@@ -140,7 +140,7 @@ def _is_number_or_none(value: Any) -> bool:
     return value is None or _is_number(value)
 
 
-ALLOWED: Mapping[str, Callable[[Any], bool]] = {
+ALLOWED_IN_EVENT: Mapping[str, Callable[[Any], bool]] = {
     "time": _is_text,
     "file": is_name,
     "kind": lambda value: value in FRAME_KINDS,
@@ -158,7 +158,7 @@ ALLOWED: Mapping[str, Callable[[Any], bool]] = {
 
 PHOTOGRAPH = ("file", "kind", "range_mm", "sha256")
 
-NEEDED: Mapping[str, tuple[str, ...]] = {
+NEEDED_IN_EVENT: Mapping[str, tuple[str, ...]] = {
     "created": ("plan_sha256",),
     "replanned": ("plan_sha256",),
     "adding": PHOTOGRAPH,
@@ -168,7 +168,7 @@ NEEDED: Mapping[str, tuple[str, ...]] = {
 }
 """What each event that belongs to the session itself must hold; other events are the capture's."""
 
-READ_AGAIN = (*NEEDED, "began")
+READ_AGAIN = (*NEEDED_IN_EVENT, "began")
 """Events whose values are used."""
 
 

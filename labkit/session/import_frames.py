@@ -21,7 +21,7 @@ from labkit.photographs.decoding import read_photograph
 from labkit.photographs.exposure import difference, exposure_problem
 from labkit.photographs.photograph import Photograph
 from labkit.plan import Plan
-from labkit.plan.messages import plain_number
+from labkit.plan.messages import MOST_PROBLEMS, plain_number
 from labkit.plan.sensor import MONO
 from labkit.session.making import made_beside, refuse_existing
 from labkit.session.session import Session
@@ -32,8 +32,6 @@ from labkit.types import FRAME_KINDS, FrameKind, Progress, no_progress
 
 COLUMNS = ("file", "kind", "range_mm")
 
-MOST_PROBLEMS = 20
-"""That one line names."""
 
 LONGEST_PATH = 1000
 

@@ -30,10 +30,10 @@ Event = dict[str, Any]
 
 JOURNAL = "journal.jsonl"
 
-RESERVED = ("event", "time", "after", "check")
+RESERVED_FIELDS = ("event", "time", "after", "check")
 """Fields of every line, which no event may use for something else."""
 
-GO_ON = "then go on with --resume"
+RESUME_ADVICE = "then go on with --resume"
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,9 +192,9 @@ class JournalWriter:
         Raises InputError if the disk does not take the event, SessionError if the file was
         replaced, ValueError for a field with a reserved name.
         """
-        if wrong := [name for name in fields if name in RESERVED]:
+        if wrong := [name for name in fields if name in RESERVED_FIELDS]:
             raise ValueError(
-                f"fields {', '.join(wrong)} of event {event!r}: the journal itself uses {', '.join(RESERVED)}"
+                f"fields {', '.join(wrong)} of event {event!r}: the journal itself uses {', '.join(RESERVED_FIELDS)}"
             )
         self._refuse_strange_file()
         self._catch_up()
@@ -238,12 +238,12 @@ class JournalWriter:
             saved = self.path.with_name(f"{self.path.name}.saved")
             write_atomically(saved, os.pread(self._file.fileno(), ours.st_size, 0))
             raise SessionError(
-                f"{self.path} {happened} while it was being written: rename {saved} to that, {GO_ON}"
+                f"{self.path} {happened} while it was being written: rename {saved} to that, {RESUME_ADVICE}"
             )
         if ours.st_size < whole:
             raise SessionError(
                 f"{self.path} was cut from {whole} to {ours.st_size} bytes while it was being written: "
-                f"put back a whole copy, {GO_ON}"
+                f"put back a whole copy, {RESUME_ADVICE}"
             )
 
     def _catch_up(self) -> None:

@@ -29,8 +29,8 @@ from labkit.files import (
 from labkit.plan import Plan
 from labkit.session.describe import as_html, in_words
 from labkit.session.frame import (
-    FRAMES,
-    NEEDED,
+    FRAMES_FOLDER,
+    NEEDED_IN_EVENT,
     Frame,
     doubled,
     event_problem,
@@ -46,7 +46,7 @@ from labkit.session.journal import (
 )
 from labkit.session.making import made_beside, refuse_existing
 from labkit.session.stored_plan import (
-    PLAN,
+    PLAN_FILE,
     changed_tables,
     plan_as_run,
     plan_damage,
@@ -56,10 +56,10 @@ from labkit.session.stored_plan import (
 from labkit.types import FRAME_KINDS, FrameKind
 from labkit.version import __version__
 
-RESULTS, INCOMING, EXPOSING = "results", ".incoming", ".exposing"
+RESULTS_FOLDER, INCOMING_FOLDER, EXPOSING_FOLDER = "results", ".incoming", ".exposing"
 """INCOMING is a photograph on its way into frames/, EXPOSING the folder that a camera writes the next one to."""
 
-MOST_NAMED = 20  # files in a message
+MOST_NAMED_FILES = 20  # files in a message
 
 
 class Session:
@@ -118,8 +118,10 @@ class Session:
         with ExitStack() as on_failure:
             with made_beside(folder, "new") as beside:
                 with writing(folder):
-                    (beside / FRAMES).mkdir()
-                fields = store_plan(plan, plan_text, beside, (JOURNAL, FRAMES, RESULTS))
+                    (beside / FRAMES_FOLDER).mkdir()
+                fields = store_plan(
+                    plan, plan_text, beside, (JOURNAL, FRAMES_FOLDER, RESULTS_FOLDER)
+                )
                 writer = JournalWriter(beside / JOURNAL)
                 on_failure.callback(writer.close)
                 created = writer.append("created", labkit_version=__version__, **fields)
@@ -214,14 +216,14 @@ class Session:
         SessionError
             the name exists or is unsafe, or the kind is unknown
         """
-        target = self.folder / FRAMES / check_name(name)
+        target = self.folder / FRAMES_FOLDER / check_name(name)
         if kind not in FRAME_KINDS:
             raise SessionError(
                 f"frame {name}: kind {kind!r}: allowed is {', '.join(FRAME_KINDS)}"
             )
         if target.exists():
             raise SessionError(f"{target} is there already; frames are never overwritten")
-        incoming = self.folder / INCOMING
+        incoming = self.folder / INCOMING_FOLDER
         sha256 = copy_durably(source, incoming)
         fields = {
             **meta,
@@ -244,7 +246,7 @@ class Session:
         ValueError
             the event is reserved for the session itself
         """
-        if event in NEEDED:
+        if event in NEEDED_IN_EVENT:
             raise ValueError(f"event {event!r} belongs to the session itself")
         self._write(event, **fields)
 
@@ -255,7 +257,9 @@ class Session:
         plan = Plan.parse(plan_text, plan_folder)
         self._write(
             "replanned",
-            **store_plan(plan, plan_text, self.folder, (JOURNAL, FRAMES, RESULTS)),
+            **store_plan(
+                plan, plan_text, self.folder, (JOURNAL, FRAMES_FOLDER, RESULTS_FOLDER)
+            ),
         )
         self._plan = None
 
@@ -269,7 +273,7 @@ class Session:
         SessionError
             the session holds links to other places
         """
-        folder = self.folder / RESULTS / check_name(name)
+        folder = self.folder / RESULTS_FOLDER / check_name(name)
         refuse_links(*links_in(self.folder))
         with writing(folder):
             there = next(path for path in (folder, *folder.parents) if path.exists())
@@ -319,7 +323,7 @@ class Session:
             self._write("dropped", line=torn.decode(errors="replace"))
             warnings.append(f"{self.folder / JOURNAL}: dropped a torn last line")
         if adding := pending(self._events):
-            path = self.folder / FRAMES / adding["file"]
+            path = self.folder / FRAMES_FOLDER / adding["file"]
             if not path.exists():
                 self._write("discarded", file=adding["file"])
             elif sha256_of(path) == adding["sha256"]:
@@ -363,7 +367,7 @@ def begin(plan: Plan | Path | str, folder: Path | str, resume: bool) -> Session:
         ):
             raise PlanError(
                 f"plan {source.name} differs in {changed} from the one that the photographs in {folder} were taken by, "
-                f"{folder / PLAN}: go on with that one, or give a new folder"
+                f"{folder / PLAN_FILE}: go on with that one, or give a new folder"
             )
         on_failure.pop_all()
     return session
@@ -371,7 +375,7 @@ def begin(plan: Plan | Path | str, folder: Path | str, resume: bool) -> Session:
 
 def unlisted(session: Session) -> list[Path]:
     """Return the files in frames/ that the journal lacks now: another process may add to both."""
-    folder = session.folder / FRAMES
+    folder = session.folder / FRAMES_FOLDER
     there = sorted(folder.iterdir()) if folder.is_dir() else []
     # the journal is read last: a line goes before each photograph
     events = Session.open(session.folder).events
@@ -385,18 +389,18 @@ def refuse_unlisted(session: Session) -> None:
     """Raise SessionError for photographs that the journal lacks: its end is lost."""
     if strange := unlisted(session):
         aside = str(session.folder / "aside")
-        first = shlex.join(["mv", *map(str, strange[:MOST_NAMED]), aside])
+        first = shlex.join(["mv", *map(str, strange[:MOST_NAMED_FILES]), aside])
         raise SessionError(
-            f"{len(strange)} photographs in {session.folder / FRAMES} stand in no line of {session.folder / JOURNAL}, "
+            f"{len(strange)} photographs in {session.folder / FRAMES_FOLDER} stand in no line of {session.folder / JOURNAL}, "
             f"{strange[0].name} for one: it has lost lines. Put back a whole copy of it; or have them taken again, once they "
-            f"are moved away{' (labkit verify names all)' if len(strange) > MOST_NAMED else ''}: "
+            f"are moved away{' (labkit verify names all)' if len(strange) > MOST_NAMED_FILES else ''}: "
             f"{shlex.join(['mkdir', '-p', aside])} && {first}"
         )
 
 
 def leftovers(folder: Path) -> list[Path]:
     """Return the temporary files left by killed processes."""
-    names = (INCOMING, EXPOSING)
+    names = (INCOMING_FOLDER, EXPOSING_FOLDER)
     return [
         path
         for path in sorted(folder.iterdir())

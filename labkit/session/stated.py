@@ -18,7 +18,7 @@ FOCAL_LENGTH_TOLERANCE = 0.03
 STOPS_TOLERANCE = 1 / 3
 """Of the f-number: cameras round it to thirds of a stop."""
 
-SAME = 0.01
+SAME_SETTING = 0.01
 """Relative: settings of two photographs that are nearer are one."""
 
 Stated = tuple[str, Exif]
@@ -115,5 +115,5 @@ def _differ(
 
 def _same(one: float | str, other: float | str) -> bool:
     if isinstance(one, float) and isinstance(other, float):
-        return abs(one / other - 1) <= SAME
+        return abs(one / other - 1) <= SAME_SETTING
     return one == other

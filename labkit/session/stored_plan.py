@@ -21,7 +21,7 @@ from labkit.plan import Plan
 from labkit.plan.text import read_text
 from labkit.session.journal import Event
 
-PLAN = "plan.toml"
+PLAN_FILE = "plan.toml"
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,12 +54,12 @@ def store_plan(plan: Plan, text: str, folder: Path, taken: Sequence[str]) -> dic
     fields = {}
     if plan.target.file is not None:
         name = re.sub(r"[^A-Za-z0-9._-]", "_", plan.target.file.name).lstrip(".")
-        name = name if name not in (*taken, PLAN, "") else f"target-{name}"
+        name = name if name not in (*taken, PLAN_FILE, "") else f"target-{name}"
         text = _with_target_file(text, name)
         fields["target_sha256"] = copy_durably(plan.target.file, folder / check_name(name))
         fields["target_file"] = name
         fields["target_source"] = printable(str(plan.target.file))
-    write_atomically(folder / PLAN, text.encode())
+    write_atomically(folder / PLAN_FILE, text.encode())
     return {**fields, "plan_sha256": hashlib.sha256(text.encode()).hexdigest()}
 
 
@@ -74,12 +74,12 @@ def plan_as_run(folder: Path, planned: Event) -> Plan:
             f"{'; '.join(damage)}: a session's plan stays as it was run; restore it, or analyse with another one: "
             f"labkit fit {folder} --plan OTHER.toml"
         )
-    return Plan.load(folder / PLAN)
+    return Plan.load(folder / PLAN_FILE)
 
 
 def plan_damage(folder: Path, planned: Event) -> list[str]:
     """Return the faults of the plan and its target's picture, one line each."""
-    files = ((PLAN, "plan_sha256"), (planned.get("target_file"), "target_sha256"))
+    files = ((PLAN_FILE, "plan_sha256"), (planned.get("target_file"), "target_sha256"))
     problems = (
         checksum_problem(folder / name, planned.get(key, "")) for name, key in files if name
     )

@@ -8,7 +8,7 @@ from pathlib import Path
 from labkit.errors import SessionError
 from labkit.files import checksum_problem, link_problem, links_in
 from labkit.findings import Finding, found
-from labkit.session.frame import FRAMES, pending
+from labkit.session.frame import FRAMES_FOLDER, pending
 from labkit.session.journal import JOURNAL, is_being_written
 from labkit.session.session import Session, leftovers, unlisted
 
@@ -69,7 +69,7 @@ def unused(session: Session) -> list[Finding]:
     strays = unlisted(session)
     adding = pending(session.events)
     if adding and not is_being_written(session.folder / JOURNAL):
-        path = session.folder / FRAMES / adding["file"]
+        path = session.folder / FRAMES_FOLDER / adding["file"]
         strays += [path] if path.exists() else []
     if not strays:
         return []

@@ -268,7 +268,7 @@ def test_lasting_trouble_ends_in_one_line_and_the_camera_serves_again_when_it_is
         )
     assert "\n" not in str(caught.value)
     assert isinstance(caught.value, DeviceTimeoutError) == (kind in (-10, "hang"))
-    assert waited == ([] if kind == -6 else [*gphoto2_camera.PAUSES_S])
+    assert waited == ([] if kind == -6 else [*gphoto2_camera.TRY_PAUSES_S])
     assert [path for path in tmp_path.iterdir() if path.suffix == ".dng"] == []
     assert two_frames(make(extra=[RAW_ONLY]), scene, tmp_path) == [1, 2]
 

@@ -66,7 +66,7 @@ def test_a_camera_on_a_network_is_found_at_its_address_set_and_photographs(
 def test_where_no_camera_answers_on_a_network_the_address_is_doubted(
     silent: bool, peer: Callable[..., Peer], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(gphoto2_camera, "PAUSES_S", (0.0,))
+    monkeypatch.setattr(gphoto2_camera, "TRY_PAUSES_S", (0.0,))
     monkeypatch.setattr(gphoto2_camera, "OPEN_S", 1.5)
     there = peer(silent)
     if not silent:

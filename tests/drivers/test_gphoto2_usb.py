@@ -14,7 +14,7 @@ import pytest
 import usb.backend.libusb1
 
 from labkit.drivers.gphoto2.camera import Gphoto2Camera
-from labkit.drivers.gphoto2.link import COMMAND, Link
+from labkit.drivers.gphoto2.link import WORKER_COMMAND, Link
 from labkit.errors import CameraError
 
 pytest.importorskip("gphoto2")
@@ -67,7 +67,9 @@ class Testbed:
 
     def camera(self, wait: Callable[[float], None]) -> Gphoto2Camera:
         settings = [f"LD_PRELOAD={PRELOAD}", f"UMOCKDEV_DIR={self._folder}"]
-        link = Link([str(shutil.which("env")), "-u", "VCAMERADIR", *settings, *COMMAND])
+        link = Link(
+            [str(shutil.which("env")), "-u", "VCAMERADIR", *settings, *WORKER_COMMAND]
+        )
         return Gphoto2Camera("", f_number=None, keep=False, wait=wait, link=link)
 
     def close(self) -> None:

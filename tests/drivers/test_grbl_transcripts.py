@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from labkit.drivers.grbl.protocol import (
-    HOMING,
+    HOMING_SETTING,
     REPORTS,
     SETTING,
     doubts,
@@ -208,7 +208,7 @@ def test_what_labkit_says_of_settings_is_true_of_those_that_were_recorded(
     is_hal = name == "grblhal"
     assert settings[REPORTS] == reports
     assert "$22=0" in str(unfit(settings, is_hal))
-    assert unfit(settings | {HOMING: 1}, is_hal) is None
+    assert unfit(settings | {HOMING_SETTING: 1}, is_hal) is None
     assert [words.partition(":")[0].partition(",")[0] for words in doubts(settings)] == [
         "$1=25",
         "$20=0",

@@ -13,7 +13,7 @@ from labkit.devices.context import DeviceContext, Glass
 from labkit.devices.operator import Operator, Wants
 from labkit.devices.protocols import PanelInfo, Picture
 from labkit.devices.registry import open_devices, open_display
-from labkit.drivers.manual_display import SHEET, TARGET, ManualDisplay
+from labkit.drivers.manual_display import SHEET, TARGET_REQUEST, ManualDisplay
 from labkit.errors import DeviceError, PlanError
 from labkit.panel.panels import paper_panel
 from labkit.plan import Plan
@@ -30,7 +30,7 @@ def test_each_sheet_is_asked_for_once_and_black_for_none() -> None:
     display = ManualDisplay(asked.append, PanelInfo((8, 8), 0.1), glass)
     for picture in ("black", "white", "white", target, target, "white"):
         display.show(picture)
-    assert asked == [SHEET, TARGET, SHEET]
+    assert asked == [SHEET, TARGET_REQUEST, SHEET]
     assert [p if isinstance(p, str) else "target" for p in seen] == [
         "black",
         "white",
@@ -114,7 +114,7 @@ def test_a_paper_target_is_captured_before_a_simulated_camera(
     ):
         run_plan(session, devices)
     # the preflight wants both, and finds the target; then the flat, and the target
-    assert hand.asked == [SHEET, TARGET, SHEET, TARGET]
+    assert hand.asked == [SHEET, TARGET_REQUEST, SHEET, TARGET_REQUEST]
     assert [frame.kind for frame in Session.open(tmp_path / "s").frames] == [
         "flat",
         "target",

@@ -343,7 +343,7 @@ def test_a_picture_in_tiles_is_that_of_a_whole(monkeypatch: pytest.MonkeyPatch) 
     bench.light(np.random.default_rng(1).integers(0, 255, (90, 90)).astype(np.uint8))
     whole = bench._mosaic()
     monkeypatch.setattr(bench_module, "MOST_AT_ONCE", 0)
-    monkeypatch.setattr(tiles_module, "TILE_PX", 32)
+    monkeypatch.setattr(tiles_module, "SIMULATED_TILE_PX", 32)
     parts = bench._mosaic()
     # single precision, and a transform whose size is another
     assert np.abs(parts - whole).max() < 2e-5 * whole.max()

@@ -49,7 +49,9 @@ def test_a_message_that_is_none_ends_its_connection(
     assert ask(lab, f"/{lab.server.token}/screen")[0] == 200
 
 
-@pytest.mark.parametrize("size", [web_server.MOST_BYTES + 1, web_server.MOST_READ])
+@pytest.mark.parametrize(
+    "size", [web_server.MOST_MESSAGE_BYTES + 1, web_server.MOST_REFUSED_BYTES]
+)
 def test_a_page_hears_that_its_message_was_too_long(
     size: int, lab: Lab, display: WebDisplay
 ) -> None:

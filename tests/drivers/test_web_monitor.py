@@ -23,7 +23,7 @@ from labkit.devices.shared import SharedParts
 from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.web.display import WebDisplay
 from labkit.drivers.web.monitor import Monitor
-from labkit.drivers.web.preview import BINS, exposure, histogram
+from labkit.drivers.web.preview import HISTOGRAM_BINS, exposure, histogram
 from labkit.finder.preview import Look
 from labkit.finder.sharpness import sharpest_edge_px
 from labkit.panel.picture import panel_picture
@@ -153,7 +153,7 @@ def test_a_capture_through_the_glass_is_seen_by_the_operator(
     assert page.inner_text("#clipped").endswith("%")
     width = read_photograph(session.frames[-1].path, session.plan.sensor).counts.shape[1]
     assert page.evaluate("document.getElementById('preview').naturalWidth") == width // 2
-    assert page.locator("#histogram rect").count() == BINS
+    assert page.locator("#histogram rect").count() == HISTOGRAM_BINS
     assert "simulated" in page.inner_text("#log-list")
     assert "at 2050" in page.inner_text("#device-list")
     assert not page.is_visible("#actions")
@@ -351,7 +351,7 @@ def test_the_histogram_counts_every_pixel_once() -> None:
     shares = histogram(mosaic(counts))
     assert sum(shares) == pytest.approx(1)
     assert shares[0] == 30 / 40
-    assert shares[BINS // 2] == pytest.approx((500 - 5) / 2000)
+    assert shares[HISTOGRAM_BINS // 2] == pytest.approx((500 - 5) / 2000)
     assert shares[-1] == 5 / 2000
     clipped, middle = exposure(mosaic(counts))
     assert clipped == pytest.approx(100 * 5 / 2000)

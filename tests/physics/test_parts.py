@@ -15,7 +15,7 @@ from labkit.imaging.model import ForwardModel
 from labkit.imaging.parts import Diffusion, LowPass, Part, Smear, SpectrumWidth, Veil
 from labkit.imaging.parts.veil import BROADEST_PX, NARROWEST_PX
 from labkit.optics.psf import Pupil
-from labkit.optics.spectrum import WIDEST, Spectrum
+from labkit.optics.spectrum import WIDEST_SPECTRUM, Spectrum
 from labkit.types import Floats
 from tests.unit.test_cone import CARPET, OPTICS, POSE, TRUTH
 
@@ -161,7 +161,9 @@ def test_optics_spare_the_shortest_wavelength_that_an_estimate_may_reach() -> No
     width = SpectrumWidth(0.03**2)
     fitted, given = replace(OPTICS, parts=(width,)), replace(OPTICS, given=(width,))
     assert (
-        min(fitted.light.nodes) > fitted.shortest == pytest.approx(1 - np.sqrt(2) * WIDEST)
+        min(fitted.light.nodes)
+        > fitted.shortest
+        == pytest.approx(1 - np.sqrt(2) * WIDEST_SPECTRUM)
     )
     assert given.shortest == min(given.light.nodes) == pytest.approx(1 - np.sqrt(2) * 0.03)
 
@@ -183,7 +185,9 @@ def test_a_spectrum_that_can_grow_no_more_has_the_slope_that_it_had_just_before(
     blur = Blur(torus, Pupil(0.55, 0.45, 5.0, 5.0 / 5, 96, (4, 7)), 5.0)
     before, there = (
         next(
-            replace(blur, parts=(SpectrumWidth().at([share * WIDEST**2]),)).by_parts(waves)
+            replace(
+                blur, parts=(SpectrumWidth().at([share * WIDEST_SPECTRUM**2]),)
+            ).by_parts(waves)
         )
         for share in (0.9, 2)
     )

@@ -16,7 +16,7 @@ from labkit.imaging.optics import Optics
 from labkit.imaging.parts import Blades, Obstruction, Part, UnevenRim, rim_of
 from labkit.optics.psf import Pupil, diffraction_mtf
 from labkit.optics.pupil import OUTLINE_REACH, smooth_outline
-from labkit.optics.rim import DISC, ROUND, Circle, Diaphragm, Rim
+from labkit.optics.rim import ROUND, ROUND_RIM, Circle, Diaphragm, Rim
 from labkit.optics.zernike import twin_signs
 from labkit.types import Complexes, Floats
 
@@ -82,7 +82,7 @@ def test_amplitudes_have_the_transforms_of_their_outlines(
     f = cycles * np.array([np.cos(direction), np.sin(direction)])
     within = RADIUS * np.sqrt(0.15 / 0.85)
     for rim, exact in (
-        (DISC, disc(RADIUS, f)),
+        (ROUND_RIM, disc(RADIUS, f)),
         (HEXAGON, fraunhofer(RADIUS * corners(6, 0.4), f)),
         (
             Rim((Diaphragm(5, -0.2),), obstructed=0.15),

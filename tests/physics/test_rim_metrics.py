@@ -10,7 +10,7 @@ from scipy.special import j1
 from labkit.optics.encircled_energy import encircled_energy, radius_of_energy
 from labkit.optics.metrics import opd_map, peak_to_valley, psf_value, rms
 from labkit.optics.mtf import mtf, mtf50, transfer_function, turning_transfer_function
-from labkit.optics.rim import DISC, Circle, Diaphragm, Rim
+from labkit.optics.rim import ROUND_RIM, Circle, Diaphragm, Rim
 from labkit.optics.strehl import strehl
 from labkit.optics.through_focus import mtf_through_focus
 from labkit.optics.wavefront import FittedWavefront
@@ -33,7 +33,7 @@ def over(name: str) -> FittedWavefront:
 
 
 def test_a_disc_by_its_outline_is_a_disc() -> None:
-    outlined = replace(OVER_A_DISC, rim=DISC)
+    outlined = replace(OVER_A_DISC, rim=ROUND_RIM)
     frequency = np.linspace(0, OVER_A_DISC.cutoff_per_mm, 9)
     for slices in (transfer_function, turning_transfer_function):
         value, slopes = slices(outlined, frequency, 30.0)

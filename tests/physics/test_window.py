@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 import scipy.signal.windows
 
-from labkit.imaging.window import FADING, STRAYED, WIDEST, fading, rim_rays_airy, window_for
+from labkit.imaging.window import (
+    FADING,
+    STRAYED,
+    WIDEST_WINDOW,
+    fading,
+    rim_rays_airy,
+    window_for,
+)
 from labkit.optics.psf import Pupil
 from labkit.types import Floats
 
@@ -41,7 +48,7 @@ def test_rays_from_the_rim_of_a_defocused_lens_arrive_on_the_geometric_disc() ->
 
 
 def test_no_window_is_wider_than_memory_allows() -> None:
-    assert window_for((4,), np.array([50.0])) == WIDEST
+    assert window_for((4,), np.array([50.0])) == WIDEST_WINDOW
 
 
 @pytest.mark.parametrize("size", [48, 121])

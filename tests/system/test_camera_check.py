@@ -96,7 +96,7 @@ def test_without_a_camera_one_line_says_so(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.delenv("VCAMERADIR", raising=False)
-    monkeypatch.setattr(gphoto2_camera, "PAUSES_S", (0.0,))
+    monkeypatch.setattr(gphoto2_camera, "TRY_PAUSES_S", (0.0,))
     assert run(["camera", "settings"]) == 1
     error = capsys.readouterr().err
     assert error.count("\n") == 1

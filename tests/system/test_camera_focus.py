@@ -17,7 +17,7 @@ import pytest
 from numpy.typing import NDArray
 
 from labkit.acquisition.camera_check import LoneCamera
-from labkit.acquisition.focusing import FRAME, LIVE_VIEW, FocusReading, focus
+from labkit.acquisition.focusing import FRAME_SOURCE, LIVE_VIEW_SOURCE, FocusReading, focus
 from labkit.acquisition.sequence import picture_for
 from labkit.cli import run
 from labkit.cli.focus import bars, line
@@ -111,7 +111,7 @@ class LiveView:
 def test_the_live_view_is_taken_where_there_is_one(plan_file: Path) -> None:
     camera: Camera = LiveView([20.0, 10.0, 5.0])  # type: ignore[assignment]
     readings = first(LoneCamera(camera, Plan.load(plan_file), planned=False), 3, Watcher())
-    assert {reading.source for reading in readings} == {LIVE_VIEW}
+    assert {reading.source for reading in readings} == {LIVE_VIEW_SOURCE}
     edges = [reading.edge_px or 0.0 for reading in readings]
     assert edges == sorted(edges, reverse=True)
     assert edges[0] > 2 * edges[2]
@@ -119,7 +119,7 @@ def test_the_live_view_is_taken_where_there_is_one(plan_file: Path) -> None:
 
 def test_a_line_says_how_sharp_it_is_beside_those_before() -> None:
     reading = FocusReading(
-        1, FRAME, 6.0, 0.0, ((0, 0), (0, 9), (9, 9), (9, 0)), 2.0, 31.4, ""
+        1, FRAME_SOURCE, 6.0, 0.0, ((0, 0), (0, 9), (9, 9), (9, 0)), 2.0, 31.4, ""
     )
     history = [
         reading,

@@ -11,12 +11,12 @@ from labkit.advice.advise import Advice, advise, best_order, shortest
 from labkit.advice.expected_fit import Setup
 from labkit.advice.tables import session_rows
 from labkit.cli import run
-from labkit.demo import PLAN
+from labkit.demo import DEMO_PLAN
 from labkit.errors import DataError, PlanError
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
-from labkit.mode_groups import GROUPS
+from labkit.mode_groups import MODE_GROUPS
 from labkit.optics.lens import TELLING_STD
 from labkit.panel.stripe_contrast import stripe_contrast
 from labkit.plan import Plan
@@ -24,7 +24,7 @@ from labkit.target import open_target
 from labkit.types import Floats
 from tests.plans import PORTRAIT, plan_text
 
-TEXT = PLAN.format(address="simulated:")
+TEXT = DEMO_PLAN.format(address="simulated:")
 
 
 @pytest.fixture(scope="module")
@@ -358,7 +358,7 @@ def test_modes_are_told_as_far_as_the_light_reaches(
     advice = advise(plan, ranges_mm=[3200.0], electrons=electrons)
     assert advice.determined_noll == last
     setup = Setup.of(plan, [3200.0], electrons)
-    for end in (15, *(group.last for group in GROUPS.values())):
+    for end in (15, *(group.last for group in MODE_GROUPS.values())):
         noll = tuple(range(4, end + 1))
         fit = setup.fit(shortest(plan), 3200.0, setup.defocus(3200.0), noll)
         assert (max(fit.bound.std[: len(noll)]) <= 0.01) == (end <= last)

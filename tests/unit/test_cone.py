@@ -16,7 +16,7 @@ from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.imaging.parts import LowPass
 from labkit.imaging.warp import Pose
-from labkit.optics.spectrum import WIDEST, Spectrum
+from labkit.optics.spectrum import WIDEST_SPECTRUM, Spectrum
 from labkit.target import CellTarget
 from labkit.types import Floats
 
@@ -131,8 +131,8 @@ def test_a_number_that_would_leave_its_bounds_stays_there_and_all_else_settles(
     freed = free_f_number(replace(photographed(filtered), model=broad), Start(TRUTH), 0.03)
     assert freed.solution.converged
     assert freed.solution.steps < 8  # 5; 10 where they led to widths that do nothing more
-    assert freed.optics.parts[0].values == pytest.approx((WIDEST**2,))
-    assert freed.measured.values[3] == pytest.approx(WIDEST**2)
+    assert freed.optics.parts[0].values == pytest.approx((WIDEST_SPECTRUM**2,))
+    assert freed.measured.values[3] == pytest.approx(WIDEST_SPECTRUM**2)
 
 
 def test_a_start_from_which_newtons_steps_run_away_says_so(model: ForwardModel) -> None:

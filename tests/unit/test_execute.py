@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from labkit.errors import InputError, LostTasksError
-from labkit.execute import SHORT, Workers, run_all, say
+from labkit.execute import NO_MEMORY, Workers, run_all, say
 
 HOURS = """
 import time
@@ -159,7 +159,7 @@ def test_a_task_that_lacks_memory_is_named_and_all_others_are_done(workers: int)
     assert sorted([next(results), next(results)]) == [(0, 1), (2, 3)]
     with pytest.raises(LostTasksError) as caught:
         next(results)
-    assert caught.value.lost == ((2, SHORT),)
+    assert caught.value.lost == ((2, NO_MEMORY),)
 
 
 def say_and_wait(heard: Path) -> str:

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from labkit.findings import (
-    NO_ANSWER,
     TEXTS,
+    UNANSWERED_CODES,
     Finding,
     Moves,
     camera_part_found,
@@ -179,7 +179,7 @@ def test_all_codes_are_in_kebab_case_and_an_unknown_one_is_refused() -> None:
     assert [Finding(code, None, {}, text).code for code, text in TEXTS.items()] == list(
         TEXTS
     )
-    assert set(NO_ANSWER) <= set(TEXTS)
+    assert set(UNANSWERED_CODES) <= set(TEXTS)
     with pytest.raises(KeyError):
         found("no-such-code")
 

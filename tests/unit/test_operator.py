@@ -114,7 +114,7 @@ def test_what_was_typed_before_is_no_answer(terminal: Type) -> None:
 def test_a_person_who_went_home_does_not_hold_the_program_forever(
     terminal: Type, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(operator, "ANSWER_S", 0.05)
+    monkeypatch.setattr(operator, "QUESTION_S", 0.05)
     with pytest.raises(
         DeviceTimeoutError, match="nobody answered within 0 minutes: Set it"
     ):

@@ -17,7 +17,7 @@ from labkit.imaging.parts import (
 )
 from labkit.imaging.parts.obstruction import USUAL_SHARE
 from labkit.imaging.parts.veil import BROADEST_PX, NARROWEST_PX, SCALE_PX
-from labkit.optics.spectrum import WIDEST, Spectrum
+from labkit.optics.spectrum import WIDEST_SPECTRUM, Spectrum
 from labkit.plan import Plan
 from labkit.plan.tables import WIDEST_LIGHT
 from tests.plans import IPAD, PORTRAIT, RED_AND_GREEN, plan_text, simulated
@@ -307,7 +307,7 @@ def test_a_width_stands_for_a_spectrum() -> None:
     assert "allowed is one of them" in refusal(
         "= 550.0", "= 550.0\nwidth_nm = 6\nspectrum = [[550, 1]]"
     )
-    assert WIDEST_LIGHT == WIDEST  # of a plan and of a fit
+    assert WIDEST_LIGHT == WIDEST_SPECTRUM  # of a plan and of a fit
 
 
 @pytest.mark.parametrize("stated", ["width_nm = 0", "spectrum = [[550, 1]]"])

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labkit.figure_style import NAMED
+from labkit.figure_style import CHANNEL_INKS
 from labkit.optics.psf import diffraction_mtf
 from labkit.report.best_focus import (
     ChannelFocus,
@@ -116,7 +116,7 @@ def test_curves_have_bands_of_one_standard_error() -> None:
     less, best, more = (drawn(waves)[0] for waves in (0.0799, 0.08, 0.0801))
     rise = np.abs(more.mtf["x"].value - less.mtf["x"].value)
     widest, step = int(np.argmax(rise)), 1e-3 / 2e-4
-    axes = mtf_chart(some_results(), best, NAMED["R"]).axes[0]
+    axes = mtf_chart(some_results(), best, CHANNEL_INKS["R"]).axes[0]
     band = np.asarray(axes.collections[0].get_paths()[0].vertices)
     edges = band[np.isclose(band[:, 0], best.mtf["x"].frequency_per_mm[widest]), 1]
     std = rise[widest] * step
@@ -125,11 +125,11 @@ def test_curves_have_bands_of_one_standard_error() -> None:
         best.mtf["x"].value[widest] + [-std, std],
         atol=0.01 * std,
     )
-    assert len(energy_chart([best], NAMED).axes[0].collections) == 1
+    assert len(energy_chart([best], CHANNEL_INKS).axes[0].collections) == 1
 
 
 def test_channels_through_focus_differ_by_more_than_their_colour() -> None:
-    each, inks = curves(), {"R": NAMED["R"], "B": NAMED["B"]}
+    each, inks = curves(), {"R": CHANNEL_INKS["R"], "B": CHANNEL_INKS["B"]}
     for figure in (strehl_chart(each, inks), modulation_chart(each, inks)):
         lines = [line for line in figure.axes[0].lines if len(line.get_xdata()) > 2]  # type: ignore[arg-type]
         of_colour = {str(line.get_color()): line.get_marker() for line in lines}

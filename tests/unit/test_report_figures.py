@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 from scipy import special
 
-from labkit.figure_style import NAMED, channel_inks
+from labkit.figure_style import CHANNEL_INKS, channel_inks
 from labkit.report.charts import residual_quantiles
 from labkit.report.pictures import chip_image
 from labkit.report.quantities import estimated, fixed, plus_minus, when
@@ -53,7 +53,9 @@ def test_chip_and_model_share_a_scale_and_the_residual_has_its_own() -> None:
 
 
 def test_a_channel_keeps_its_colour_whatever_others_there_are() -> None:
-    assert channel_inks(["B", "IR", "R"])["R"] == channel_inks(["R"])["R"] == NAMED["R"]
+    assert (
+        channel_inks(["B", "IR", "R"])["R"] == channel_inks(["R"])["R"] == CHANNEL_INKS["R"]
+    )
     assert channel_inks(["M", "IR"])["M"] != channel_inks(["M", "IR"])["IR"]
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from labkit.estimation.likelihood import Detector, FrameData
 from labkit.estimation.residuals import (
-    BINS,
+    RADIAL_BINS,
     residual_frequencies,
     residual_spectrum,
 )
@@ -43,7 +43,7 @@ def test_a_wave_stands_at_its_frequency() -> None:
     power = spectrum(used, np.cos(2 * np.pi * (0.175 * columns + 0.125 * rows)))
     frequencies = residual_frequencies([frame(used, 0 * RELATIVE)])
     assert frequencies[np.argmax(power)] == pytest.approx(
-        np.hypot(0.175, 0.125), abs=0.5 / BINS / 2
+        np.hypot(0.175, 0.125), abs=0.5 / RADIAL_BINS / 2
     )
     assert np.delete(power, np.argmax(power)).max() < 0.01 * power.max()
 
@@ -54,6 +54,6 @@ def test_a_bayer_plane_is_flat_up_to_its_own_nyquist_frequency() -> None:
     rng = np.random.default_rng(2)
     power = spectrum(used, *rng.normal(size=(8, *SHAPE)))
     assert residual_frequencies([frame(used, 0 * RELATIVE)])[-1] == pytest.approx(
-        0.25 * (1 - 0.5 / BINS)
+        0.25 * (1 - 0.5 / RADIAL_BINS)
     )
     assert np.abs(power - 1).max() < 0.2

@@ -16,7 +16,7 @@ from labkit.imaging.aperture import Aperture
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.parts import KNOWN, Diffusion, LowPass, Part, SpectrumWidth, Veil
 from labkit.imaging.parts.veil import SCALE_PX
-from labkit.mode_groups import GROUPS
+from labkit.mode_groups import MODE_GROUPS
 from labkit.optics.spectrum import Spectrum
 from tests.unit.test_cone import CARPET, FRAME, OPTICS, POSE, TRUTH, photographed
 
@@ -142,7 +142,7 @@ HIGHER = (0.02, -0.015, 0.01, 0.012, -0.02, 0.01)
 
 def higher_problem(waves: tuple[float, ...]) -> Problem:
     """Return frames taken through a lens with modes 16 to 21, and a model without these modes."""
-    lens = replace(OPTICS, noll=(*OPTICS.noll, *GROUPS["modes_16_21"].noll))
+    lens = replace(OPTICS, noll=(*OPTICS.noll, *MODE_GROUPS["modes_16_21"].noll))
     with_them = ForwardModel.build(
         lens, CARPET, FRAME, POSE, f_number_margin=SETTINGS.f_number_margin
     )

@@ -9,7 +9,7 @@ import pytest
 from labkit.cli import run
 from labkit.errors import SessionError
 from labkit.results import Results
-from labkit.results.storage import RESULTS
+from labkit.results.storage import RESULTS_FILE
 from labkit.session.journal import JOURNAL
 from labkit.session.session import Session, begin
 from labkit.session.verify import verify
@@ -76,7 +76,9 @@ def test_figures_that_are_a_link_are_neither_followed_by_python(
     assert sorted(path.name for path in elsewhere.iterdir()) == sorted(PICTURES)
 
 
-@pytest.mark.parametrize("name", ["results", "results/latest", f"results/latest/{RESULTS}"])
+@pytest.mark.parametrize(
+    "name", ["results", "results/latest", f"results/latest/{RESULTS_FILE}"]
+)
 def test_results_behind_a_link_are_not_read(
     session: Path, tmp_path: Path, name: str
 ) -> None:

@@ -10,15 +10,20 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Mapping
 
-from labkit.drivers.grbl.protocol import HAL_OFFSET, HAL_ORIGIN_AT_HOME, HARD_LIMITS, HOMING
+from labkit.drivers.grbl.protocol import (
+    HAL_OFFSET,
+    HAL_ORIGIN_AT_HOME,
+    HARD_LIMITS,
+    HOMING_SETTING,
+)
 from labkit.drivers.simulated.controllers.grbl_firmware import GRBL, Firmware
 from labkit.drivers.simulated.controllers.grbl_gcode import GcodeError, clean
 from labkit.drivers.simulated.controllers.grbl_interpreter import Interpreter
 from labkit.drivers.simulated.controllers.grbl_machine import Machine
 from labkit.drivers.simulated.controllers.motion import Braking
 
-RESET, ASK, HOLD, RESUME, CANCEL_JOG = 0x18, 0x3F, 0x21, 0x7E, 0x85
-START_S = 0.001
+RESET_CODE, ASK_CODE, HOLD_CODE, RESUME_CODE, CANCEL_JOG = 0x18, 0x3F, 0x21, 0x7E, 0x85
+MOVE_START_S = 0.001
 """Between the ok of a move and its start: a report then still says Idle."""
 
 UNLOCK = "[MSG:'$H'|'$X' to unlock]"
@@ -50,7 +55,7 @@ class GrblController:
             number: float(text) for number, text in firmware.defaults.items()
         } | dict(settings or {})
         origin = (
-            int(self.settings[HOMING]) & HAL_ORIGIN_AT_HOME
+            int(self.settings[HOMING_SETTING]) & HAL_ORIGIN_AT_HOME
             if firmware.is_hal
             else "Z" in options
         )
@@ -84,7 +89,7 @@ class GrblController:
     def power_on(self) -> None:
         """Begin as after a power cut: counted from zero, locked if homing is required."""
         self.machine.forget(self.now_s)
-        locks = int(self.settings[HOMING]) & (4 if self.firmware.is_hal else 1)
+        locks = int(self.settings[HOMING_SETTING]) & (4 if self.firmware.is_hal else 1)
         self._forget("Alarm" if locks else "Idle")
         if self._blank:
             self.say("error:7")
@@ -100,7 +105,7 @@ class GrblController:
     def receive(self, data: bytes) -> None:
         """Take in bytes now. Real-time commands act at once, wherever they stand."""
         for byte in data:
-            if byte in (RESET, ASK, HOLD, RESUME, CANCEL_JOG):
+            if byte in (RESET_CODE, ASK_CODE, HOLD_CODE, RESUME_CODE, CANCEL_JOG):
                 self.noticed(chr(byte))
                 self._at_once(byte)
             elif byte in b"\r\n":
@@ -213,19 +218,19 @@ class GrblController:
         self._dwell_s = seconds
 
     def _at_once(self, byte: int) -> None:
-        if byte == RESET:
+        if byte == RESET_CODE:
             self.reset()
         elif self.dead:
             return
-        elif byte == ASK:
+        elif byte == ASK_CODE:
             if self.state == "Home" and not self.wedged and not self.firmware.is_hal:
                 self._asked = True
             else:
                 self._report()
-        elif byte == HOLD and self.state in ("Idle", "Run"):
+        elif byte == HOLD_CODE and self.state in ("Idle", "Run"):
             self.state = "Hold"
             self.machine.brake(self.now_s)
-        elif byte == RESUME and self.state == "Hold" and self.machine.motion is None:
+        elif byte == RESUME_CODE and self.state == "Hold" and self.machine.motion is None:
             self.state = "Idle"
         elif byte == CANCEL_JOG and self.state == "Jog":
             self.machine.brake(self.now_s)
@@ -253,7 +258,7 @@ class GrblController:
     def _set_out(self) -> None:
         """Begin the next planned move: at once after another or as a jog, else a moment later."""
         if self.state == "Idle":
-            self._start_s = self._start_s or self.now_s + START_S
+            self._start_s = self._start_s or self.now_s + MOVE_START_S
         elif self.state in ("Run", "Jog"):
             self.machine.start(self.now_s)
 

@@ -12,7 +12,7 @@ MODAL_GROUPS = ({0, 1}, {17, 18, 19}, {20, 21}, {54}, {90, 91}, {93, 94}, {4, 10
 KNOWN_M = {0, 2, 3, 5, 8, 9, 30}
 AXES = "XYZ"
 Key = TypeVar("Key", int, str)
-LONGEST = 80
+LONGEST_GCODE_LINE = 80
 
 
 class GcodeError(Exception):
@@ -36,7 +36,7 @@ class Block:
 def clean(line: str) -> str:
     """Return a line as GRBL stores it: no spaces, no comments, capitals. Raises GcodeError 11 if too long."""
     bare = re.sub(r"\([^)]*\)?|;.*|\s", "", line).upper()
-    if len(bare) > LONGEST:
+    if len(bare) > LONGEST_GCODE_LINE:
         raise GcodeError(11)
     return bare
 

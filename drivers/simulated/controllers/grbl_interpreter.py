@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
-from labkit.drivers.grbl.protocol import HOMING, SOFT_LIMITS
+from labkit.drivers.grbl.protocol import HOMING_SETTING, SOFT_LIMITS
 from labkit.drivers.simulated.controllers.grbl_gcode import Block, GcodeError, parse
 from labkit.drivers.simulated.controllers.grbl_machine import Planned
 
@@ -97,7 +97,7 @@ class Interpreter:
 
     def _home(self, line: str) -> bool:
         controller = self._of
-        if not int(controller.settings[HOMING]) & 1:
+        if not int(controller.settings[HOMING_SETTING]) & 1:
             raise GcodeError(5)
         if controller.state not in ("Idle", "Alarm"):
             raise GcodeError(8)
@@ -118,7 +118,11 @@ class Interpreter:
         number, value = int(found[1]), float(found[2])
         if value < 0:
             raise GcodeError(4)
-        if number == SOFT_LIMITS and value and not int(controller.settings[HOMING]) & 1:
+        if (
+            number == SOFT_LIMITS
+            and value
+            and not int(controller.settings[HOMING_SETTING]) & 1
+        ):
             raise GcodeError(10)
         controller.settings[number] = value
 

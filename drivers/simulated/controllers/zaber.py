@@ -16,7 +16,7 @@ from labkit.drivers.simulated.controllers.serve import carrying, rail_of, serve
 from labkit.drivers.zaber.protocol import SPEED_UNIT, checksum
 from labkit.plan import Plan
 
-COMMAND = re.compile(
+COMMAND_LINE = re.compile(
     r"/(?P<device>\d+)?(?: ?(?P<axis>\d))?(?: (?P<id>\d\d))?(?: ?(?P<command>[a-z].*))?"
 )
 
@@ -120,7 +120,7 @@ class ZaberController:
 
     def _take(self, line: str) -> None:
         text, colon, check = line.partition(":")
-        found = COMMAND.fullmatch(text.strip())
+        found = COMMAND_LINE.fullmatch(text.strip())
         if not found or (colon and check != checksum(text)):
             return
         if int(found["device"] or 0) not in (0, 1):

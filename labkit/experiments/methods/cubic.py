@@ -14,10 +14,10 @@ from labkit.arrays import real_array
 from labkit.types import Floats
 
 TAPS = np.array([-1, 0, 1, 2])
-KEYS = np.array([[0.0, -1, 2, -1], [2, 0, -5, 3], [0, 1, 4, -3], [0, 0, -1, 1]]) / 2
+KEYS_KERNEL = np.array([[0.0, -1, 2, -1], [2, 0, -5, 3], [0, 1, 4, -3], [0, 0, -1, 1]]) / 2
 """[tap, power]: the weight of a sample, a polynomial of the point's distance, 0 to 1, past the sample before it."""
 
-MAX_ORDER = 2
+HIGHEST_DERIVATIVE = 2
 
 
 @dataclass(frozen=True)
@@ -88,10 +88,12 @@ class Cubic:
 
 def _taps(at: Floats, side: int, order: int) -> tuple[NDArray[np.intp], Floats]:
     """Return indices and weights of the four neighbours along one axis, (4, points) each."""
-    if not 0 <= order <= MAX_ORDER:
-        raise ValueError(f"a derivative of order {order}: allowed are 0 to {MAX_ORDER}")
+    if not 0 <= order <= HIGHEST_DERIVATIVE:
+        raise ValueError(
+            f"a derivative of order {order}: allowed are 0 to {HIGHEST_DERIVATIVE}"
+        )
     before = np.floor(at)
-    polynomial = np.polynomial.polynomial.polyder(KEYS, order, axis=1)
+    polynomial = np.polynomial.polynomial.polyder(KEYS_KERNEL, order, axis=1)
     weight = np.polynomial.polynomial.polyval(at - before, polynomial.T)
     return (before.astype(np.intp) + TAPS[:, None]) % side, np.asarray(
         weight, dtype=np.float64

@@ -15,7 +15,7 @@ from labkit.imaging.model import ForwardModel
 from labkit.types import Complexes, Floats
 
 SPACING_AIRY = 0.4  # between samples of a direction, in lambda N; Nyquist's is 0.5
-SINGULAR = 1e-6  # eigenvalue of the information over the largest, below which a combination of samples is left out
+SINGULAR_INFORMATION = 1e-6  # eigenvalue of the information over the largest, below which a combination of samples is left out
 
 Case = tuple[Problem, State, Floats]
 """A problem of one noise-free frame, a wrong optimum, and the inverse variance of the used pixels (pixels,)."""
@@ -91,7 +91,7 @@ def find_psf_basis(cases: Sequence[Case], degrees: int, half_width: int = 14) ->
         scores.append(samples @ ((frame.counts[frame.used] - mean) * weights))
         information += samples * weights @ samples.T
     values, vectors = np.linalg.eigh(information / len(cases))
-    kept = values > SINGULAR * values[-1]
+    kept = values > SINGULAR_INFORMATION * values[-1]
     whiten = vectors[:, kept] / np.sqrt(values[kept])
     left = np.linalg.svd(whiten.T @ np.array(scores).T, full_matrices=False)[0][:, :degrees]
     return PsfBasis((whiten @ left).T.reshape(degrees, side, side))

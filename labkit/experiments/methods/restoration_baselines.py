@@ -27,12 +27,12 @@ BLIND_ROUNDS, BLIND_STEPS, BLIND_PX = (
 )  # rounds of picture and PSF; the first PSF's standard deviation, pixels
 BALANCE = 1e-3  # of Wiener's roughness, for pictures of 0 to 1
 TV_WEIGHT, TV_STEPS = 5e-4, 50
-LEAST = 1e-4  # of white: a multiplicative step never leaves 0
+LEAST_RADIANCE = 1e-4  # of white: a multiplicative step never leaves 0
 
 
 def baseline(job: Job, method: str) -> Floats32:
     """(colours, rows, columns) samples of the photograph, counts above black. Raises InputError without scikit-image."""
-    restored = METHODS[method]
+    restored = BASELINES[method]
     scenes = []
     for k in range(len(job.colours)):
         blurred, white = interpolated(job, k), _white(job, k)
@@ -83,7 +83,7 @@ def richardson_lucy(blurred: Floats, psf: Floats, steps: int = RL_STEPS) -> Floa
     """W. Richardson, J. Opt. Soc. Am. 62, 55 (1972)."""
     return np.asarray(
         _skimage("restoration").richardson_lucy(
-            blurred.clip(LEAST), psf, num_iter=steps, clip=False
+            blurred.clip(LEAST_RADIANCE), psf, num_iter=steps, clip=False
         )
     )
 
@@ -93,12 +93,16 @@ def blind(blurred: Floats, psf: Floats, rounds: int = BLIND_ROUNDS) -> Floats:
     side = np.arange(len(psf)) - len(psf) // 2
     guess = np.exp(-(side**2) / (2 * (len(psf) / 16) ** 2))
     guess = np.outer(guess, guess) / guess.sum() ** 2
-    picture, data = np.full(blurred.shape, blurred.mean()), blurred.clip(LEAST)
+    picture, data = np.full(blurred.shape, blurred.mean()), blurred.clip(LEAST_RADIANCE)
     for _ in range(rounds):
         for _ in range(BLIND_STEPS):
-            ratio = data / np.maximum(fftconvolve(picture, guess, mode="same"), LEAST)
+            ratio = data / np.maximum(
+                fftconvolve(picture, guess, mode="same"), LEAST_RADIANCE
+            )
             picture *= fftconvolve(ratio, guess[::-1, ::-1], mode="same").clip(0)
-        ratio = data / np.maximum(fftconvolve(picture, guess, mode="same"), LEAST) - 1
+        ratio = (
+            data / np.maximum(fftconvolve(picture, guess, mode="same"), LEAST_RADIANCE) - 1
+        )
         turned = fftconvolve(ratio, picture[::-1, ::-1], mode="same") / picture.sum()
         middle, reach = [n // 2 for n in turned.shape], len(psf) // 2
         shown = turned[
@@ -135,7 +139,7 @@ def total_variation(blurred: Floats, psf: Floats, weight: float = TV_WEIGHT) -> 
     return scene
 
 
-METHODS: dict[str, Callable[..., Floats]] = {
+BASELINES: dict[str, Callable[..., Floats]] = {
     "richardson-lucy": richardson_lucy,
     "richardson-lucy-blind": blind,
     "wiener": wiener,

@@ -12,10 +12,10 @@ from labkit.arrays import mask_array, real_array
 from labkit.errors import FitError
 from labkit.types import Bools, Floats
 
-TOLERANCE = 1e-8
+EXTENSION_TOLERANCE = 1e-8
 """Norm of the gradient on the unknown samples, relative to the norm with holes filled by the mean."""
 
-ROUNDING = 1e-14  # relative to the whole gradient, for signals that need no filling
+ROUNDING_SHARE = 1e-14  # relative to the whole gradient, for signals that need no filling
 MAX_STEPS = 1000  # 80 are usual
 
 
@@ -102,8 +102,8 @@ def _step_to_smoothest(filled: Floats, unknown: Bools) -> Floats:
     step, failed = cg(
         on_unknown(weights),
         -_filtered(filled, weights)[unknown],
-        rtol=TOLERANCE,
-        atol=ROUNDING * float(np.linalg.norm(filled)),
+        rtol=EXTENSION_TOLERANCE,
+        atol=ROUNDING_SHARE * float(np.linalg.norm(filled)),
         maxiter=MAX_STEPS,
         M=on_unknown(1 / np.sqrt(np.maximum(weights, lowest))),
     )

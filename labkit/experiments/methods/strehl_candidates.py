@@ -17,7 +17,7 @@ from labkit.optics.zernike import noll_to_nm, twin_signs, zernike
 from labkit.types import Floats
 
 NOLL = tuple(range(4, 16))
-RADII, ANGLES = (
+QUADRATURE_RADII, QUADRATURE_ANGLES = (
     16,
     48,
 )  # of the quadrature over the disc: exact for polynomials far above the degree of these modes
@@ -28,10 +28,10 @@ ALIKE_ROTATIONS = 180  # that a comparison of two wavefronts tries: 2 degrees ap
 @cache
 def _quadrature() -> tuple[Floats, Floats]:
     """Return (samples,) weights over the disc, of unit sum, and (modes, samples) modes there."""
-    nodes, weights = np.polynomial.legendre.leggauss(RADII)
-    angles = 2 * np.pi * np.arange(ANGLES) / ANGLES
+    nodes, weights = np.polynomial.legendre.leggauss(QUADRATURE_RADII)
+    angles = 2 * np.pi * np.arange(QUADRATURE_ANGLES) / QUADRATURE_ANGLES
     rho, theta = np.meshgrid(np.sqrt((nodes + 1) / 2), angles, indexing="ij")
-    share = np.repeat(weights / 2 / ANGLES, ANGLES)
+    share = np.repeat(weights / 2 / QUADRATURE_ANGLES, QUADRATURE_ANGLES)
     return share, np.stack([zernike(j, rho, theta).ravel() for j in NOLL])
 
 

@@ -37,7 +37,7 @@ AT_REST = np.array([0.0, 0.0, 1.0, 1.0, 0.0])
 LINEAR = ((0, 2), (1, 2), (0, 0), (1, 0), (0, 1), (1, 1), (2, 0), (2, 1))
 """(row, column) in the matrix of each parameter of the groups that are linear in x."""
 
-SINGULAR = 1e-12  # determinant over the cube of the largest entry; an inverse keeps four digits there
+SINGULAR_MATRIX = 1e-12  # determinant over the cube of the largest entry; an inverse keeps four digits there
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +139,7 @@ class WarpGroup:
         """Return the (3, 3) matrix of (D.3): L^-1 V^-1 L, where L moves the centre to the origin."""
         matrix = self.matrix(x)
         about = _about(centre)
-        if not abs(np.linalg.det(matrix)) > SINGULAR * np.abs(matrix).max() ** 3:
+        if not abs(np.linalg.det(matrix)) > SINGULAR_MATRIX * np.abs(matrix).max() ** 3:
             raise ValueError(
                 f"x = {np.asarray(x)} makes a singular matrix: the plane would lie edge on"
             )

@@ -23,7 +23,7 @@ MOST_SHIFT = 0.95
 
 ANGLES = np.linspace(0, FULL_TURN, 96, endpoint=False)
 SHIFTS, SIZES = np.arange(0.1, 1.01, 0.1), np.arange(0.7, 1.61, 0.1)
-DIRECTIONS = np.linspace(0, FULL_TURN, 36, endpoint=False)
+START_DIRECTIONS = np.linspace(0, FULL_TURN, 36, endpoint=False)
 """Circles that a fit may begin with."""
 
 
@@ -83,7 +83,7 @@ class CatsEye(Part):
         uneven = next((part for part in before if isinstance(part, UnevenRim)), None)
         if uneven is None:
             return self
-        every = product(SHIFTS, SIZES, DIRECTIONS)
+        every = product(SHIFTS, SIZES, START_DIRECTIONS)
         circles = [
             Circle(float(s), float(r), float(t)) for s, r, t in every if r - 1 < s < r
         ]

@@ -12,7 +12,7 @@ from labkit.optics.rim import Rim
 from labkit.plan import Channel, Plan
 from labkit.uncertain import Uncertain
 
-MOST = 0.9
+MOST_OBSTRUCTION = 0.9
 """Largest obstruction, of the pupil's diameter."""
 
 USUAL_SHARE = 0.1
@@ -40,7 +40,9 @@ class Obstruction(Part):
 
     def at(self, values: Sequence[float]) -> Self:
         (share,) = values
-        return type(self)(min(max(float(share), -(MOST**2)), MOST**2))
+        return type(self)(
+            min(max(float(share), -(MOST_OBSTRUCTION**2)), MOST_OBSTRUCTION**2)
+        )
 
     def begun(self, before: Sequence[Part]) -> Self:
         return type(self)(USUAL_SHARE)

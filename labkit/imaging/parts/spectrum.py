@@ -9,12 +9,12 @@ from typing import ClassVar, Self
 
 from labkit.imaging.estimated import root
 from labkit.imaging.parts.part import Part, finite
-from labkit.optics.spectrum import WIDEST, Spectrum
+from labkit.optics.spectrum import WIDEST_SPECTRUM, Spectrum
 from labkit.plan import Channel, Plan
 from labkit.uncertain import Uncertain
 
-MOST = WIDEST**2
-STEP, LEAST_STEP = (
+MOST_VARIANCE = WIDEST_SPECTRUM**2
+VARIANCE_STEP, LEAST_VARIANCE_STEP = (
     0.1,
     1e-6,
 )  # of the variance in its differences: a share of itself, and at least
@@ -33,10 +33,10 @@ class SpectrumWidth(Part):
     title: ClassVar[str] = "spectrum"
     words: ClassVar[str] = "light of several wavelengths"
     labels: ClassVar[tuple[str, ...]] = ("variance",)
-    usual: ClassVar[tuple[float, ...]] = (MOST,)
+    usual: ClassVar[tuple[float, ...]] = (MOST_VARIANCE,)
     meanings: ClassVar[Mapping[str, str]] = {"width_nm": "standard deviation"}
     per_channel: ClassVar[bool] = True
-    broadest: ClassVar[Spectrum] = Spectrum.of_width(MOST)
+    broadest: ClassVar[Spectrum] = Spectrum.of_width(MOST_VARIANCE)
 
     @property
     def values(self) -> tuple[float, ...]:
@@ -44,7 +44,7 @@ class SpectrumWidth(Part):
 
     def at(self, values: Sequence[float]) -> Self:
         (variance,) = values
-        return type(self)(min(max(float(variance), -MOST), MOST))
+        return type(self)(min(max(float(variance), -MOST_VARIANCE), MOST_VARIANCE))
 
     @property
     def idle(self) -> bool:
@@ -56,8 +56,11 @@ class SpectrumWidth(Part):
 
     def light_slopes(self) -> tuple[Mapping[float, float], ...]:
         """Return central differences, one-sided if the variance can grow no more."""
-        step = max(STEP * abs(self.variance), LEAST_STEP)
-        above, below = min(self.variance + step, MOST), max(self.variance - step, -MOST)
+        step = max(VARIANCE_STEP * abs(self.variance), LEAST_VARIANCE_STEP)
+        above, below = (
+            min(self.variance + step, MOST_VARIANCE),
+            max(self.variance - step, -MOST_VARIANCE),
+        )
         slopes = defaultdict[float, float](float)
         for sign, variance in ((1, above), (-1, below)):
             for share, node in Spectrum.of_width(variance).shares:

@@ -14,7 +14,7 @@ from labkit.optics.rim import Rim
 from labkit.plan import Channel, Plan
 from labkit.uncertain import Uncertain
 
-MOST = 0.8
+MOST_UNEVENNESS = 0.8
 """Largest departure of the rim; at 1 it would no longer be a closed curve."""
 
 
@@ -53,7 +53,7 @@ class UnevenRim(Part):
     def at(self, values: Sequence[float]) -> Self:
         cosine_2, sine_2, cosine_3, sine_3 = map(float, values)
         depth = math.hypot(cosine_2, sine_2) + math.hypot(cosine_3, sine_3)
-        within = min(1.0, MOST / depth) if depth else 1.0
+        within = min(1.0, MOST_UNEVENNESS / depth) if depth else 1.0
         return type(self)(*(within * float(value) for value in values))
 
     def onto(self, rim: Rim) -> Rim:
