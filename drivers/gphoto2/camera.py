@@ -1,5 +1,5 @@
-"""Any camera that libgphoto2 drives. Address: "gphoto2:" for the only camera on USB, "gphoto2:usb:001,004", or
-on a network, by PTP/IP, "gphoto2:ptpip:192.168.1.5".
+"""Any camera that libgphoto2 drives: "gphoto2:" for the only one on USB, "gphoto2:usb:001,004",
+"gphoto2:ptpip:192.168.1.5".
 
 libgphoto2 runs in a separate process (`worker`). When it hangs, crashes or loses the
 camera, the camera is released, searched again, reset on USB if necessary, opened and set as
@@ -75,7 +75,7 @@ ADVICE = {
 }
 
 TRY_PAUSES_S = (0.5, 2.0, 5.0)
-"""Waited before each new try; with them an operation is tried four times."""
+"""Pauses before new tries: an operation is tried four times."""
 
 ASK_S, OPEN_S, CLOSE_S = 10.0, 30.0, 10.0
 """Longest time for a question to the body; for opening it, which lists all its settings; for closing it."""

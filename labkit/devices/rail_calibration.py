@@ -22,7 +22,7 @@ TAPE_ERROR_MM = 3.0
 ENDLESS_MM = 1e5
 LONGEST_MM = 3e4
 """A longer range is not meant by a number that could be metres."""
-SHARES = (0.1, 0.5, 0.9)
+TRAVEL_SHARES = (0.1, 0.5, 0.9)
 """Where along its travel a rail is measured, unless positions are given."""
 
 
@@ -105,7 +105,7 @@ def stations(travel: Travel, asked_mm: Sequence[float]) -> tuple[float, ...]:
         )
     return tuple(
         round(travel.low_mm + share * (travel.high_mm - travel.low_mm), 1)
-        for share in SHARES
+        for share in TRAVEL_SHARES
     )
 
 

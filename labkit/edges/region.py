@@ -10,7 +10,7 @@ from labkit.imaging.optics import Optics
 from labkit.types import Bools, Floats
 
 EDGE_SIZE = 4
-LEAST_PIXELS = 60  # of a region: an edge and its noise are six numbers
+LEAST_REGION_PIXELS = 60  # of a region: an edge and its noise are six numbers
 
 
 @dataclass(frozen=True)
@@ -81,9 +81,9 @@ class Region:
         for name, unit in (("rows", "pixels"), ("columns", "pixels"), ("counts", "counts")):
             array = real_array(name, getattr(self, name), size, unit)
             object.__setattr__(self, name, array)
-        if size[0] < LEAST_PIXELS:
+        if size[0] < LEAST_REGION_PIXELS:
             raise ValueError(
-                f"{size[0]} pixels around an edge: {LEAST_PIXELS} are needed at least"
+                f"{size[0]} pixels around an edge: {LEAST_REGION_PIXELS} are needed at least"
             )
 
     @property

@@ -24,7 +24,7 @@ from labkit.plan.tables import (
 )
 from labkit.plan.text import plain, read_tables, read_text, write_tables
 
-REFERENCE_NM = 450.0
+DEFAULT_REFERENCE_NM = 450.0
 
 CAMERA_COLOURS = ("R", "G", "B")
 """What LibRaw names the colours of a camera's filter array."""
@@ -122,7 +122,11 @@ class Plan(Table):
         """Wavelength of the unit "waves": as [fit] states; else 450 nm, or the wavelength of a single channel."""
         if self.fit.reference_wavelength_nm is not None:
             return self.fit.reference_wavelength_nm
-        return self.channel[0].wavelength_nm if len(self.channel) == 1 else REFERENCE_NM
+        return (
+            self.channel[0].wavelength_nm
+            if len(self.channel) == 1
+            else DEFAULT_REFERENCE_NM
+        )
 
     @model_validator(mode="after")
     def _consistent(self) -> Plan:

@@ -162,7 +162,7 @@ def test_the_librarys_own_cameras_are_listed_by_address(
     def no_backend(find_all: bool) -> None:
         raise usb.core.NoBackendError("No backend available")
 
-    monkeypatch.setattr(usb.core, "found_edges", no_backend)
+    monkeypatch.setattr(usb.core, "find", no_backend)
     assert run(["devices", "--json"]) == 0
     said = json.loads(capfd.readouterr().out)
     assert said["cameras"] == [
