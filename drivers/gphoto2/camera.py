@@ -1,5 +1,4 @@
-"""Any camera that libgphoto2 drives: "gphoto2:" for the only one on USB, "gphoto2:usb:001,004",
-"gphoto2:ptpip:192.168.1.5".
+"""Any camera of libgphoto2: "gphoto2:" for the only one, "gphoto2:usb:001,004", "gphoto2:ptpip:192.168.1.5".
 
 libgphoto2 runs in a separate process (`worker`). When it hangs, crashes or loses the
 camera, the camera is released, searched again, reset on USB if necessary, opened and set as

@@ -21,7 +21,7 @@ from labkit.findings import (
     stated_model_moves,
 )
 from labkit.imaging.aperture import Aperture
-from labkit.imaging.optics import ESTIMATED, OPTIONAL
+from labkit.imaging.optics import ESTIMATED, OPTIONAL_PARTS
 from labkit.optics.metrics import psf_difference, rms
 from labkit.optics.wavefront import FittedWavefront
 from labkit.optics.zernike import twin_signs
@@ -48,7 +48,7 @@ def model_parts(session: Estimate, plan: Plan) -> dict[str, Uncertain]:
 
 def in_words(parts: Collection[str]) -> dict[str, str]:
     """Return camera parts in words, by name."""
-    return {name: OPTIONAL[name].words for name in parts}
+    return {name: OPTIONAL_PARTS[name].words for name in parts}
 
 
 def camera_findings(
@@ -114,7 +114,7 @@ def part_findings(
             )
         elif name not in wanted:
             yield camera_part_found(
-                name, OPTIONAL[name].words, values, gains.get(name), moves
+                name, OPTIONAL_PARTS[name].words, values, gains.get(name), moves
             )
 
 

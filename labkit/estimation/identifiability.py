@@ -9,7 +9,7 @@ import scipy.linalg
 from labkit.arrays import symmetric
 from labkit.types import Floats
 
-SINGULAR = 2.0**-40
+SINGULAR_SHARE = 2.0**-40
 """Smallest eigenvalue of an information matrix, scaled to a unit diagonal, that rounding does not explain."""
 
 
@@ -76,7 +76,12 @@ def _scaled(information: Floats) -> tuple[Floats, Floats, Floats, float]:
     diagonal = np.diag(information)
     scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
-    return scale, values, vectors, SINGULAR * len(values) * max(1.0, float(values[-1]))
+    return (
+        scale,
+        values,
+        vectors,
+        SINGULAR_SHARE * len(values) * max(1.0, float(values[-1])),
+    )
 
 
 def worse_than(error: float, covariance: Floats, names: Sequence[str]) -> tuple[str, ...]:

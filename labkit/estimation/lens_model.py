@@ -23,15 +23,15 @@ from labkit.estimation.laws import (
     FOCAL_LENGTH,
     FOCUS,
     GEOMETRY,
-    HOMING,
+    HOMING_LABEL,
     LATERAL_COLOUR,
     MAGNIFICATION,
     MODE,
     PART,
-    PITCH,
+    PIXEL_PITCH,
     RANGE_ZERO,
     SIZE,
-    STEPS,
+    STEPS_LABEL,
     WAVELENGTH,
     WORKING_F_NUMBER,
     Column,
@@ -46,10 +46,10 @@ from labkit.optics.lens import USUAL_LOG_MAGNIFICATION, ThinLens, defocus_waves
 from labkit.optics.wavefront import DEFOCUS
 from labkit.types import Bools, Floats, Indices
 
-ONLY_MISTAKEN: tuple[Place, ...] = ((PITCH, ()), (WAVELENGTH, ()))
+ONLY_MISTAKEN: tuple[Place, ...] = ((PIXEL_PITCH, ()), (WAVELENGTH, ()))
 """Parameters that are exact unless they are a mistake: pixel pitch, and a common factor of all wavelengths."""
 
-STEP = 1e-3
+DERIVATIVE_STEP = 1e-3
 """Step of numerical derivatives by an argument over its size, or over 1 if it is smaller: slopes err by 1e-9 at most."""
 
 
@@ -257,7 +257,9 @@ class LensModel:
     @cached_property
     def _apparent(self) -> Bools:
         """(columns,) whether a parameter changes what is measured, but not the lens: errors of wavelengths and pitch."""
-        return np.array([column.kind in (WAVELENGTH, PITCH) for column in self.columns])
+        return np.array(
+            [column.kind in (WAVELENGTH, PIXEL_PITCH) for column in self.columns]
+        )
 
     @cached_property
     def _longer(self) -> Floats:
@@ -288,9 +290,9 @@ class LensModel:
         yield Column(WORKING_F_NUMBER, self.laws.f_number_std)
         homings = {homing for reading in self.readings for homing in reading.homings}
         for homing in sorted(homings)[1:]:
-            yield Column(HOMING, stated.homing_std_mm, name=(homing,))
+            yield Column(HOMING_LABEL, stated.homing_std_mm, name=(homing,))
         for station in sorted({reading.station for reading in self.readings}):
-            yield Column(STEPS, stated.range_std_mm, name=(station,))
+            yield Column(STEPS_LABEL, stated.range_std_mm, name=(station,))
         yield Column(FOCUS, 100 * far, far)
         for channel in self.channels:
             error = stated.wavelength_std.get(channel, 0.0)
@@ -325,9 +327,9 @@ class LensModel:
         by_channel = {channel: self._channel_map(channel) for channel in self.channels}
         common = np.array([by_channel[r.key.channel] for r in self.readings])
         for k, reading in enumerate(self.readings):
-            common[k, true_range, self.index(STEPS, reading.station)] = 1.0
+            common[k, true_range, self.index(STEPS_LABEL, reading.station)] = 1.0
             for homing, times in Counter(reading.homings).items():
-                if (column := self._places.get((HOMING, (homing,)))) is not None:
+                if (column := self._places.get((HOMING_LABEL, (homing,)))) is not None:
                     common[k, true_range, column] = times / len(reading.homings)
         own = np.zeros((n, rows, len(self.local_columns)))
         if self.tiled:
@@ -346,7 +348,7 @@ class LensModel:
             (scale, (LATERAL_COLOUR, (channel,))),
             (cone, (WAVELENGTH, (channel,))),
             (cone, (WAVELENGTH, ())),
-            ([cone, scale], (PITCH, ())),
+            ([cone, scale], (PIXEL_PITCH, ())),
             *((first + k, (kind, ())) for k, kind in enumerate(GEOMETRY[:3])),
             ([true_range, true_range + 1, true_range + 2], (RANGE_ZERO, ())),
         ]
@@ -389,7 +391,7 @@ class LensModel:
 
     def _law_slopes(self, arguments: Floats) -> Floats:
         """Differentiate the laws by their arguments, (3, 6, n), by central differences of fourth order."""
-        steps = STEP * np.maximum(np.abs(arguments), 1.0)
+        steps = DERIVATIVE_STEP * np.maximum(np.abs(arguments), 1.0)
         moves = steps[:, None] * np.eye(len(steps))[:, :, None]
 
         def difference(times: int) -> Floats:

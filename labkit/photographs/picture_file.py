@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from labkit.apart import DAMAGED, run_apart
 from labkit.errors import InputError, shown
-from labkit.photographs.container import MIN_IS_WHITE
 from labkit.photographs.jpeg import JPEG, read_header
 
 Numbers = NDArray[np.unsignedinteger]
@@ -55,6 +54,7 @@ ADAM7 = (
 """Passes of an interlaced PNG: first row, first column, steps down and right."""
 
 GREY, TRUE_COLOUR, PALETTE = 0, 2, 3
+WHITE_IS_ZERO = 0
 UNCOMPRESSED = 1
 
 
@@ -283,7 +283,7 @@ def _check_tiff(
     if len(page.shape) < 2:
         raise InputError(DAMAGED)
     _check_size(page.shape, most_pixels)
-    if page.photometric == MIN_IS_WHITE:
+    if page.photometric == WHITE_IS_ZERO:
         raise InputError(
             "counts darkness (MinIsWhite): allowed are numbers that grow with light"
         )

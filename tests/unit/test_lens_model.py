@@ -15,7 +15,7 @@ from labkit.estimation.laws import (
     FOCUS,
     LATERAL_COLOUR,
     MAGNIFICATION,
-    PITCH,
+    PIXEL_PITCH,
     RANGE_ZERO,
     WAVELENGTH,
     Laws,
@@ -27,7 +27,7 @@ from tests.lens_samples import COLOURS, laws, reading, stated
 
 NOLL = (4, 6, 11)
 TILES = ((0, 0), (0, 1), (1, 1))
-STEPS = {
+STEPS_LABEL = {
     FOCUS: 0.5,
     AXIAL_COLOUR: 0.5,
     RANGE_ZERO: 0.5,
@@ -88,7 +88,7 @@ def true_values(model: LensModel, theta: Any, own: Any, k: int) -> Any:
     upper = own_modes or [at("common mode", j) + at("mode", channel, j) for j in NOLL[1:]]
     wavelength = at("wavelength", channel) + (at("wavelength") if common_light else 0.0)
     modes = [mode * np.exp(-wavelength) for mode in (waves, *upper)]
-    pitch = at("pixel pitch") if model.laws.mistaken == (PITCH, ()) else 0.0
+    pitch = at("pixel pitch") if model.laws.mistaken == (PIXEL_PITCH, ()) else 0.0
     return np.array([*modes, cone + at("cone") + wavelength + pitch, scale + pitch])
 
 
@@ -96,12 +96,12 @@ def near_focus(model: LensModel) -> tuple[Floats, Floats]:
     """A point, (columns,) and (groups, local columns), that is off in everything."""
     rng, groups = np.random.default_rng(1), int(model.groups.max()) + 1
     theta = np.array([505.0 if c.kind == FOCUS else c.value for c in model.columns])
-    theta = theta + np.array([STEPS.get(c.kind, 1e-2) for c in model.columns]) * rng.normal(
-        size=len(theta)
-    )
-    own = np.array([STEPS.get(c.kind, 1e-2) for c in model.local_columns]) * rng.normal(
-        size=(groups, len(model.local_columns))
-    )
+    theta = theta + np.array(
+        [STEPS_LABEL.get(c.kind, 1e-2) for c in model.columns]
+    ) * rng.normal(size=len(theta))
+    own = np.array(
+        [STEPS_LABEL.get(c.kind, 1e-2) for c in model.local_columns]
+    ) * rng.normal(size=(groups, len(model.local_columns)))
     return theta, own
 
 
@@ -112,7 +112,7 @@ def mistaken(kind: str) -> LensModel:
 
 @pytest.mark.parametrize(
     "model",
-    [sampled(), tiled(), mistaken(PITCH), mistaken(WAVELENGTH)],
+    [sampled(), tiled(), mistaken(PIXEL_PITCH), mistaken(WAVELENGTH)],
     ids=["frames", "tiles", "pitch", "light"],
 )
 def test_slopes_are_those_of_the_printed_laws(model: LensModel) -> None:

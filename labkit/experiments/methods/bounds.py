@@ -4,7 +4,7 @@ import numpy as np
 import scipy.linalg
 
 from labkit.arrays import positive, real_array, symmetric
-from labkit.estimation.climb import NOISE_NUMBERS, PER_FRAME, Problem, State
+from labkit.estimation.climb import NOISE, PER_FRAME, Problem, State
 from labkit.estimation.likelihood import slopes
 from labkit.types import Floats, Integers
 
@@ -37,7 +37,7 @@ def fisher_information(problem: Problem, state: State, modes_at_once: int = 4) -
     """
     positive("modes_at_once", modes_at_once, "modes")
     modes = state.waves.size
-    common = state.unevenness.size + NOISE_NUMBERS
+    common = state.unevenness.size + NOISE
     size = modes + PER_FRAME * len(problem.frames) + common
     total = np.zeros((size, size))
     blocks = [
@@ -46,9 +46,9 @@ def fisher_information(problem: Problem, state: State, modes_at_once: int = 4) -
     for k in range(len(problem.frames)):
         first = modes + k * PER_FRAME
         of_frame = np.arange(first, first + PER_FRAME)
-        of_light = np.arange(size - common, size - NOISE_NUMBERS)
+        of_light = np.arange(size - common, size - NOISE)
         _add_frame(total, problem, state, k, np.concatenate([of_frame, of_light]), blocks)
-    total[-NOISE_NUMBERS:, -NOISE_NUMBERS:] += np.diag(problem.noise.precision)
+    total[-NOISE:, -NOISE:] += np.diag(problem.noise.precision)
     return total
 
 
@@ -70,7 +70,7 @@ def _add_frame(
     mean = by_frame.of_mean
     variance = by_frame.of_variance
     both, cross, square = by_frame.weights()
-    at_noise = len(total) - NOISE_NUMBERS + np.arange(NOISE_NUMBERS)
+    at_noise = len(total) - NOISE + np.arange(NOISE)
     total[np.ix_(at_frame, at_frame)] += mean * both @ mean.T
     _add(total, at_frame, at_noise, mean * cross @ variance.T)
     total[np.ix_(at_noise, at_noise)] += variance * square @ variance.T
