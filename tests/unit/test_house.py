@@ -1,8 +1,10 @@
-"""How large and how dense the house's files, functions and rooms may be."""
+"""Limits of the house: sizes and density of its files, words of its docstrings, names of its constants."""
 
 import ast
 import io
+import re
 import tokenize
+from collections import Counter
 from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
@@ -15,6 +17,11 @@ EVERYWHERE = ("labkit", "drivers", "targets", "tests", "benchmarks", "examples",
 MOST_LINES, MEDIAN_LINES, MOST_SHARE_OF_A_ROOM = 500, 200, 0.15
 MOST_STATEMENTS, MOST_LINES_OF_A_FUNCTION = 34, 80
 MEAN_CHARACTERS, MEAN_TOKENS = 42.0, 9.0
+FRAGMENTS = ("Of", "As", "By", "That", "Those", "What", "Its")
+MOST_FRAGMENTS = 106
+"""Docstrings that begin with such a word have no subject and verb: not one more than there are."""
+PRONOUNS = {"it", "that", "those", "one", "what"}
+MOST_PRONOUNS = 0.03
 NO_CODE = {
     tokenize.COMMENT,
     tokenize.NL,
@@ -112,3 +119,55 @@ def test_no_room_holds_more_than_its_share_of_the_lines() -> None:
     assert {
         room: f"{part:.1%}" for room, part in share.items() if part > MOST_SHARE_OF_A_ROOM
     } == {}
+
+
+def docstrings(path: Path) -> Iterator[str]:
+    documented = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, documented) and (text := ast.get_docstring(node)):
+            yield text
+
+
+def constants(path: Path) -> Iterator[str]:
+    """Yield the names of a module's own constants."""
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            for part in chain.from_iterable(map(ast.walk, targets)):
+                if isinstance(part, ast.Name) and part.id.isupper():
+                    yield part.id
+
+
+PRODUCT = [
+    path
+    for path in files("labkit", "drivers", "targets")
+    if name(path).startswith("drivers/") or "drivers" not in name(path)
+]
+
+
+def test_docstrings_have_a_subject_and_a_verb() -> None:
+    texts = [(name(path), text) for path in PRODUCT for text in docstrings(path)]
+    found = Counter(where for where, text in texts if text.split()[0] in FRAGMENTS)
+    assert found.total() <= MOST_FRAGMENTS, found
+
+
+def test_docstrings_name_things_rather_than_point_at_them() -> None:
+    """Peers' docstrings have 1 to 2 % pronouns of this kind."""
+    words = [
+        word
+        for path in PRODUCT
+        for text in docstrings(path)
+        for word in re.findall(r"[a-z']+", text.lower())
+    ]
+    assert sum(word in PRONOUNS for word in words) / len(words) <= MOST_PRONOUNS
+
+
+def test_a_constants_name_has_one_meaning() -> None:
+    """No two modules define the same name; a study's conditions are its own."""
+    found = Counter(
+        constant
+        for path in PRODUCT
+        if "experiments" not in path.parts
+        for constant in set(constants(path))
+    )
+    assert {constant for constant, count in found.items() if count > 1} == set()
