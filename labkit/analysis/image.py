@@ -73,29 +73,24 @@ def fit_image(
 
     >>> w = labkit.fit_image(counts, labkit.open_target("sierpinski:order=4,size_mm=15.6"), optics)
     """
-    images = _frames("counts", counts)
-    corners = _corners(images, pattern_of(cfa_pattern), target, corners_px, mm_per_pixel)
-    pixels = channel_pixels(pattern_of(cfa_pattern), channel)
+    shape = np.shape(counts)
+    if len(shape) not in (2, 3):
+        raise ValueError(
+            f"counts has shape {shape}; (rows, columns) or (frames, rows, columns) is needed (counts)"
+        )
+    images = real_array("counts", counts, None, "counts").reshape(-1, *shape[-2:])
+    good = np.ones(images.shape, bool)
+    if mask is not None:
+        good = mask_array("mask", np.reshape(mask, images.shape), images.shape)
+    pattern = pattern_of(cfa_pattern)
+    corners = _corners(images, pattern, target, corners_px, mm_per_pixel)
+    pixels = channel_pixels(pattern, channel)
     noise = _noise(images, gain, read_noise)
-    return _fitted(
-        _observation(images, _good(mask, images), target, corners, channel, pixels, noise),
-        target,
-        optics,
-    )
-
-
-def _fitted(observation: Observation, target: Target, optics: Optics) -> Wavefront:
-    views = Views(observation.frames, observation.poses, observation.noise)
+    observation = _observation(images, good, target, corners, channel, pixels, noise)
+    views = Views(observation.frames, observation.poses, noise)
     with threadpool_limits(1):  # several for matrices of this size take twice the time
         found = find_optima(optics, target, views, Guesses(deep=True, alone=True))
         return as_wavefront(LocalFit(observation, found.best.canonical(), found))
-
-
-def _good(mask: ArrayLike | None, images: Floats) -> Bools:
-    """Return masks (frames, rows, columns), True for good pixels."""
-    if mask is None:
-        return np.ones(images.shape, bool)
-    return mask_array("mask", np.reshape(mask, images.shape), images.shape)
 
 
 def _observation(
@@ -129,17 +124,6 @@ def _observation(
         period=pixels.period,
         origin_px=(rows.start, columns.start),
     )
-
-
-def _frames(name: str, counts: ArrayLike) -> Floats:
-    """Return one frame or several as (frames, rows, columns)."""
-    shape = np.shape(counts)
-    if len(shape) not in (2, 3):
-        raise ValueError(
-            f"{name} has shape {shape}; (rows, columns) or (frames, rows, columns) is needed (counts)"
-        )
-    images = real_array(name, counts, None, "counts")
-    return images if len(shape) == 3 else images[None]
 
 
 def _corners(

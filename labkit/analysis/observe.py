@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labkit.analysis.plausibility import Sight, refuse_contradictions
 from labkit.calibration.calibrate import (
     Calibration,
     ChannelData,
@@ -26,6 +25,7 @@ from labkit.estimation.observation import Observation
 from labkit.finder.carpet_squares import central_square
 from labkit.finder.cut import cut_around, sees_target_only
 from labkit.finder.find_target import find_target, grey_image
+from labkit.finder.plausibility import Sight, refuse_contradictions
 from labkit.finder.surround import surround_level
 from labkit.findings import Finding, each_once, found
 from labkit.imaging.brightness import Brightness

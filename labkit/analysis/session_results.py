@@ -152,13 +152,11 @@ def as_focus(lens: LensFit) -> Focus | None:
         channel: Uncertain(value, std, "mm")
         for channel, value, std in zip(channels, values, stds.tolist(), strict=False)
     }
-    least, most = SETTINGS.magnification_bounds
-    inside = 1.001 * least < pupils.value < most / 1.001
     rest = lens.measured.values - lens.solved.predicted
     return Focus(
         best,
         pupils,
-        pupils.std <= TELLING_STD and inside,
+        pupils.std <= TELLING_STD and not _at_bound(pupils),
         {c: _defocus_of(lens, c, rest) for c in channels},
         covariance,
         lens.chi2 / lens.degrees_of_freedom if lens.degrees_of_freedom >= 1 else None,
@@ -267,11 +265,11 @@ def _why_no_lens(session: Estimate) -> str:
 
 def _lens_findings(lens: LensFit) -> Iterator[Finding]:
     pupils = _magnification(lens)
-    least, most = SETTINGS.magnification_bounds
     for channel, stations in _stations(lens).items():
         if len(stations) < 2:
             yield found("channel-without-best-focus", Key(None, channel))
-    if not least * 1.001 < pupils.value < most / 1.001:
+    if _at_bound(pupils):
+        least, most = SETTINGS.magnification_bounds
         yield found("pupil-magnification-at-bound", least=least, most=most)
     elif pupils.std > TELLING_STD:
         yield found("pupil-magnification-undetermined", pupil_magnification_std=pupils.std)
@@ -302,6 +300,12 @@ def _stations(lens: LensFit) -> dict[str, set[float]]:
 def _magnification(lens: LensFit) -> Uncertain:
     value = float(np.exp(lens.value(MAGNIFICATION)))
     return Uncertain(value, value * lens.std(MAGNIFICATION))
+
+
+def _at_bound(pupils: Uncertain) -> bool:
+    """Whether a pupil magnification is at one of its bounds, which stopped the estimate."""
+    least, most = SETTINGS.magnification_bounds
+    return not 1.001 * least < pupils.value < most / 1.001
 
 
 def as_wavefront(local: LocalFit, with_stated_camera: LocalFit | None = None) -> Wavefront:

@@ -104,12 +104,10 @@ def refit_jointly(
     for done in range(SETTINGS.newton_rounds):
         progress(done, SETTINGS.newton_rounds, "climbing jointly")
         before = lens
-        reached = _all_reached(session, targets, lens, places, run)
-        places = reached
-        likelihoods.append(
-            sum(one.log_likelihood for one in reached) - 0.5 * _prior_chi2(lens)
-        )
-        lens = _lens_of(session, reached, first)
+        places = _all_reached(session, targets, lens, places, run)
+        prior_chi2 = lens.solved.chi2 - lens.solved.data.chi2(lens.solved.rest)
+        likelihoods.append(sum(one.log_likelihood for one in places) - 0.5 * prior_chi2)
+        lens = _lens_of(session, places, first)
         if max(_differences(lens, before).values()) < SETTINGS.converged_stds:
             break
     return Joint(lens, _differences(lens, first), tuple(likelihoods))
@@ -205,15 +203,6 @@ def problem_at(leg: Leg, optics: Optics, state: State) -> Problem:
         brightness=views.frames[0].brightness,
     )
     return Problem(model, views.frames, views.noise)
-
-
-def _prior_chi2(lens: LensFit) -> float:
-    columns = lens.model.columns
-    away = [
-        (value - c.value) / c.prior_std
-        for value, c in zip(lens.theta, columns, strict=True)
-    ]
-    return float(np.sum(np.square(away)))
 
 
 def _differences(one: LensFit, other: LensFit) -> dict[str, float]:

@@ -2,7 +2,7 @@
 
 Every observation measures modes, numbers of camera parts, ln of the working f-number and ln of the picture's scale. All follow
 from a few named parameters of the session, the columns of a least-squares problem; the plan states some of them. A new law
-needs a new column (`_columns`) and its derivatives: an entry of `_entries`, or a term of `_laws`.
+needs a new column (`_columns`) and its derivatives: an entry of `_channel_map`, or a term of `_laws`.
 """
 
 from __future__ import annotations

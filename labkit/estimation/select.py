@@ -374,21 +374,14 @@ def _common_tilt(tilts: Floats) -> tuple[float, float] | None:
 
 def _started(choices: _Choices) -> tuple[Indices, Bools]:
     """Return a start: each observation's likeliest candidate with the sign that the ranges favour."""
-    fitted = choices.options.fitted
+    fitted, groups = choices.options.fitted, choices.model.groups
     choice = np.where(fitted, np.argmax(choices.options.gain, axis=1), OUT)
     known = np.zeros(len(fitted), bool)
-    for places in _groups(choices, fitted):
+    every = [np.flatnonzero(fitted & (groups == one)) for one in np.unique(groups[fitted])]
+    for places in sorted(every, key=lambda part: -part.size):
         choice[places] += _signs(choices, places, choice, known)
         known[places] = True
     return choice, fitted
-
-
-def _groups(choices: _Choices, wanted: Bools) -> list[Indices]:
-    """Return the places of each channel and tile's observations, the largest group first."""
-    places = np.flatnonzero(wanted)
-    order = places[np.argsort(choices.model.groups[places], kind="stable")]
-    parts = np.split(order, np.flatnonzero(np.diff(choices.model.groups[order])) + 1)
-    return sorted((part for part in parts if part.size), key=lambda part: -part.size)
 
 
 def _signs(choices: _Choices, places: Indices, choice: Indices, known: Bools) -> Indices:
@@ -404,11 +397,8 @@ def _signs(choices: _Choices, places: Indices, choice: Indices, known: Bools) ->
         places[:, None], choice[places][:, None] + [0, 1]
     ]  # each candidate and its twin
     positive: Indices = (both[:, 0, model.defocus] < 0).astype(np.intp)
-    like = (
-        np.median(_modes(choices, choice, np.flatnonzero(known)), axis=0)
-        if known.any()
-        else None
-    )
+    modes = choices.options.values[known, choice[known], : len(model.noll)]
+    like = np.median(modes, axis=0) if known.any() else None
     best, least = positive, np.inf
     for negative in range(len(places) + 1):
         turned = positive.copy()
@@ -418,10 +408,6 @@ def _signs(choices: _Choices, places: Indices, choice: Indices, known: Bools) ->
         if cost < least - 1e-9:
             best, least = turned, cost
     return best
-
-
-def _modes(choices: _Choices, choice: Indices, places: Indices) -> Floats:
-    return choices.options.values[places, choice[places], : len(choices.model.noll)]
 
 
 def _misfit(model: LensModel, ranges: Floats, values: Floats, like: Floats | None) -> float:

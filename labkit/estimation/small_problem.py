@@ -208,14 +208,8 @@ class PhaseRetrieval:
 
     def random_waves(self, rng: np.random.Generator) -> Floats:
         """Return a random start, (modes,)."""
-        direction = rng.normal(size=self.state.waves.size)
         scale = self.optics.wavelength_um / self.optics.reference_um
-        return np.asarray(
-            direction
-            / np.linalg.norm(direction)
-            * rng.uniform(*SETTINGS.start_waves)
-            * scale
-        )
+        return random_wavefront(rng, self.state.waves.size) * scale
 
     def descend(self, waves: Floats) -> Optimum:
         """Descend from a wavefront (modes,) to an optimum."""
@@ -278,6 +272,13 @@ class PhaseRetrieval:
         )
 
 
+def random_wavefront(rng: np.random.Generator, modes: int) -> Floats:
+    """Return a random start (modes,), in waves of the light's own wavelength."""
+    direction = rng.normal(size=modes)
+    rms = rng.uniform(*SETTINGS.start_waves)
+    return np.asarray(direction / np.linalg.norm(direction) * rms)
+
+
 def _triangle(columns: Callable[[slice], Floats], sigma: Floats) -> Floats:
     """Return R of the QR decomposition of weighted rows, one a pixel, made and rotated a part at a time.
 
@@ -303,8 +304,7 @@ def _components(pupil: Pupil) -> tuple[Floats32, Floats]:
     draws = 3 * SETTINGS.psf_components
     drawn = np.empty((draws, perfect.size))
     for row in drawn:
-        direction = rng.normal(size=len(pupil.noll) - len(TILTS))
-        waves = direction / np.linalg.norm(direction) * rng.uniform(*SETTINGS.start_waves)
+        waves = random_wavefront(rng, len(pupil.noll) - len(TILTS))
         tilts = rng.normal(scale=np.mean(SETTINGS.start_waves), size=len(TILTS))
         row[:] = (pupil.psf(scale * np.concatenate([tilts, waves])) - perfect).ravel()
     weights, vectors = scipy.linalg.eigh(

@@ -16,7 +16,7 @@ from labkit.estimation.climb import Problem, Solution, State, maximize
 from labkit.estimation.residuals import judge
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.sketches import Sketches, sweep
-from labkit.estimation.small_problem import PhaseRetrieval, Retrieved
+from labkit.estimation.small_problem import PhaseRetrieval, Retrieved, random_wavefront
 from labkit.imaging.optics import Optics
 from labkit.types import Floats
 
@@ -209,8 +209,7 @@ def further_start(
             origin,
             waves=origin.waves * np.where(np.arange(origin.waves.size) == 0, -1.0, 1.0),
         )
-    direction = rng.normal(size=origin.waves.size)
-    waves = direction / np.linalg.norm(direction) * rng.uniform(*SETTINGS.start_waves)
+    waves = random_wavefront(rng, origin.waves.size)
     waves *= optics.wavelength_um / optics.reference_um
     if defocus and rng.random() < 0.5:
         waves[0] = origin.waves[0]

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labkit.analysis.plausibility import Sight, refuse_contradictions
 from labkit.errors import DataError
+from labkit.finder.plausibility import Sight, refuse_contradictions
 from labkit.plan import Plan
 from tests.plans import SMALL, Tables, plan_text, simulated
 

@@ -20,12 +20,12 @@ from benchmarks.random_sessions import (
     draw_with_parts,
 )
 from benchmarks.sessions import compared, parts_table, psf_table, read, table
-from labkit.analysis.plausibility import Sight, refuse_contradictions
 from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.parts import LowPassFilter, Smear, Veil
 from labkit.drivers.simulated.pupil import Pupil
 from labkit.drivers.simulated.scene import carry
 from labkit.drivers.simulated.world import Truth, Visit
+from labkit.finder.plausibility import Sight, refuse_contradictions
 from labkit.types import Floats
 
 SESSIONS = 60
