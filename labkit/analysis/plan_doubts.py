@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from math import exp
 
 from labkit.estimation.laws import (
@@ -31,15 +30,6 @@ KEYS = {
 """Keys of the plan, by kind of column."""
 
 
-@dataclass(frozen=True)
-class _Number:
-    """A number of the plan: its key, the stated value, and the value with which the photographs agree."""
-
-    key: str
-    stated: float
-    agrees: Uncertain
-
-
 def plan_findings(lens: LensFit | None, plan: Plan) -> Iterator[Finding]:
     """Report the number of the plan that is probably a mistake.
 
@@ -50,16 +40,16 @@ def plan_findings(lens: LensFit | None, plan: Plan) -> Iterator[Finding]:
     """
     if lens is None or (mistaken := lens.model.laws.mistaken) is None:
         return
-    number = _number(lens, *mistaken, plan)
+    key, stated, agrees = _number(lens, *mistaken, plan)
     others = [other.model.laws.mistaken for _, other in lens.others]
     keys = [_key(*column) for column in others if column is not None]
     yield found(
         "plan-contradicted",
         None,
-        {"agreed": str(number.agrees), "others": ", ".join(keys)},
-        key=number.key,
-        stated=number.stated,
-        agrees=number.agrees.as_json(),
+        {"agreed": str(agrees), "others": ", ".join(keys)},
+        key=key,
+        stated=stated,
+        agrees=agrees.as_json(),
         probability=1 - sum(probability for probability, _ in lens.others),
         next=keys,
     )
@@ -72,29 +62,20 @@ def _key(kind: str, name: Name) -> str:
     return KEYS[kind]
 
 
-def _number(lens: LensFit, kind: str, name: Name, plan: Plan) -> _Number:
-    """Return a mistaken number with the value with which the photographs agree."""
-    value, std = lens.value(kind, *name), lens.std(kind, *name)
-    if kind in (F_NUMBER, FOCAL_LENGTH):
-        unit = "mm" if kind == FOCAL_LENGTH else ""
-        return _Number(
-            _key(kind, name),
-            lens.model.centre[lens.model.index(kind)],
-            Uncertain(value, std, unit),
-        )
+def _number(
+    lens: LensFit, kind: str, name: Name, plan: Plan
+) -> tuple[str, float, Uncertain]:
+    """Return a mistaken number's key and stated value, and the value with which the photographs agree."""
+    estimate = lens.uncertain(kind, *name, unit="" if kind == F_NUMBER else "mm")
     if kind == RANGE_ZERO:
-        return _Number("the common error of all ranges", 0.0, Uncertain(value, std, "mm"))
-    stated, unit = {
-        SIZE: (plan.target.size_mm, "mm"),
-        PIXEL_PITCH: (plan.sensor.pixel_pitch_um, "um"),
-        WAVELENGTH: (_wavelength_nm(name, plan), "nm"),
+        return "the common error of all ranges", 0.0, estimate
+    if kind in (F_NUMBER, FOCAL_LENGTH):
+        return _key(kind, name), float(lens.model.centre[lens.model.index(kind)]), estimate
+    light = {c.name: c.wavelength_nm for c in plan.channel}
+    stated, unit, sign = {
+        SIZE: (plan.target.size_mm, "mm", 1.0),
+        PIXEL_PITCH: (plan.sensor.pixel_pitch_um, "um", -1.0),  # ln of the stated over the true
+        WAVELENGTH: (light[str(name[0])], "nm", 1.0) if name else (1.0, "times", 1.0),
     }[kind]
-    if kind == WAVELENGTH and not name:
-        stated, unit = 1.0, "times"
-    # the pitch's column is ln of the stated over the true
-    true = stated * exp(-value if kind == PIXEL_PITCH else value)
-    return _Number(_key(kind, name), stated, Uncertain(true, true * std, unit))
-
-
-def _wavelength_nm(name: Name, plan: Plan) -> float:
-    return next(c.wavelength_nm for c in plan.channel if not name or c.name == name[0])
+    true = stated * exp(sign * estimate.value)
+    return _key(kind, name), stated, Uncertain(true, true * estimate.std, unit)
