@@ -74,7 +74,11 @@ def _number(
     light = {c.name: c.wavelength_nm for c in plan.channel}
     stated, unit, sign = {
         SIZE: (plan.target.size_mm, "mm", 1.0),
-        PIXEL_PITCH: (plan.sensor.pixel_pitch_um, "um", -1.0),  # ln of the stated over the true
+        PIXEL_PITCH: (
+            plan.sensor.pixel_pitch_um,
+            "um",
+            -1.0,
+        ),  # ln of the stated over the true
         WAVELENGTH: (light[str(name[0])], "nm", 1.0) if name else (1.0, "times", 1.0),
     }[kind]
     true = stated * exp(sign * estimate.value)
