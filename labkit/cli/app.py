@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import tomllib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from labkit.errors import InputError, PlanError
+from labkit.session.journal import journal_in
 from labkit.version import __version__
 
 # What a command needs is imported inside it: `labkit --help` and tab completion must not wait for SciPy.
@@ -72,3 +78,93 @@ def options(
 ) -> None:
     """Accept the options of every command, which may also follow the command."""
     ctx.obj.debug, ctx.obj.quiet, ctx.obj.json = debug, quiet, json
+
+
+def studies(incomplete: str) -> list[str]:
+    """Return the names of studies."""
+    from labkit.experiments.studies import STUDIES
+
+    return _begin(incomplete, STUDIES)
+
+
+def panels(incomplete: str) -> list[str]:
+    """Return the names of known panels."""
+    from labkit.panel.panels import PANELS
+
+    return _begin(incomplete, PANELS)
+
+
+def targets(incomplete: str) -> list[str]:
+    """Return kinds of target, and plans in the folder."""
+    from importlib.metadata import entry_points
+
+    kinds = (f"{entry.name}:" for entry in entry_points(group="labkit.targets"))
+    return _begin(incomplete, [*kinds, *map(str, Path().glob("*.toml"))])
+
+
+def channels(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Return the channels of the session on the command line; the usual ones without a session."""
+    session = ctx.params.get("session") or next(
+        iter(ctx.args), ""
+    )  # a line that is not complete has it left over
+    try:
+        plan = tomllib.loads((Path(session) / "plan.toml").read_text(encoding="utf-8"))
+        names = [str(channel["name"]) for channel in plan["channel"]]
+    except (KeyError, TypeError, OSError, ValueError):
+        names = ["R", "G", "B"]
+    return _begin(incomplete, names)
+
+
+def _begin(incomplete: str, words: Iterable[str]) -> list[str]:
+    return sorted(word for word in words if word.startswith(incomplete))
+
+
+NO_SUCH_FILE = os.strerror(errno.ENOENT)
+
+
+def a_session(path: Path) -> None:
+    """Raise SessionError for a path that is no session folder."""
+    journal_in(path)
+
+
+def a_plan(*paths: Path | None) -> None:
+    """Raise PlanError for a missing plan; ignore None."""
+    for path in filter(None, paths):
+        if not _is_there(path):
+            raise PlanError(f"plan {path}: {NO_SUCH_FILE}")
+
+
+def perhaps_a_plan(given: str) -> None:
+    """Raise PlanError for a missing plan; ignore arguments that do not end in .toml."""
+    if given.endswith(".toml"):
+        a_plan(Path(given))
+
+
+def a_file(*paths: Path | None) -> None:
+    """Raise InputError for a missing file; ignore None."""
+    for path in filter(None, paths):
+        if not _is_there(path):
+            raise InputError(f"{path}: {NO_SUCH_FILE}")
+
+
+def a_file_or_plan(*paths: Path) -> None:
+    """Raise InputError for a missing file, PlanError for a missing plan."""
+    for path in paths:
+        perhaps_a_plan(str(path))
+        a_file(path)
+
+
+def a_file_or_session(*paths: Path | None) -> None:
+    """Raise SessionError for a missing session, InputError for a missing file, whose name has a suffix."""
+    for path in filter(None, paths):
+        if path.suffix:
+            a_file(path)
+        elif not _is_there(path):
+            a_session(path)
+
+
+def _is_there(path: Path) -> bool:
+    try:
+        return path.exists()
+    except (OSError, ValueError):  # a name that no file can have: its reader says why
+        return True

@@ -16,15 +16,18 @@ from labkit.cli.app import (
     CameraPlace,
     PlanPath,
     SessionPath,
+    a_file,
+    a_plan,
     app,
     camera_app,
+    panels,
+    perhaps_a_plan,
     rail_app,
     target_app,
+    targets,
 )
-from labkit.cli.complete import panels, targets
 from labkit.cli.console import Console
 from labkit.cli.device_tables import NONE_OF, device_tables
-from labkit.cli.paths import a_file, a_plan, perhaps_a_plan
 from labkit.errors import LabkitError
 
 if TYPE_CHECKING:

@@ -10,19 +10,27 @@ import threading
 import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from importlib import import_module
 from typing import NoReturn
 
 import typer
 from typer.exceptions import TyperException
 
-from labkit.cli import bench, edges, focus, restoring, sessions
 from labkit.cli.app import app
 from labkit.cli.console import Console, error_line
 from labkit.errors import LabkitError
 from labkit.files import open_standard_streams
 
-COMMANDS = (bench, edges, focus, restoring, sessions)
-"""Modules that add their commands to `app` as they are imported."""
+COMMANDS = {
+    "bench": {"camera", "capture", "devices", "rail", "target"},
+    "edges": {"edges"},
+    "focus": {"camera"},
+    "restoring": {"restore"},
+    "sessions": {
+        *("advise", "demo", "fit", "import", "plan", "report", "study", "verify"),
+    },
+}
+"""First words of commands by the module that adds them to `app` as it is imported."""
 
 GLOBAL_FLAGS = ("--debug", "--quiet", "--json")
 
@@ -38,6 +46,13 @@ def main() -> None:
     sys.exit(run(sys.argv[1:], leaving=True))
 
 
+def load_commands(word: str = "") -> None:
+    """Import the modules of the commands that begin with a word; all modules for another word."""
+    named = [module for module, words in COMMANDS.items() if word in words]
+    for module in named or COMMANDS:
+        import_module(f"labkit.cli.{module}")
+
+
 def run(args: Sequence[str], *, leaving: bool = False) -> int:
     """Run a command line and return the exit status.
 
@@ -47,6 +62,7 @@ def run(args: Sequence[str], *, leaving: bool = False) -> int:
     end = args.index("--") if "--" in args else len(args)
     flags = [arg for arg in args[:end] if arg in GLOBAL_FLAGS]
     rest = [arg for arg in args[:end] if arg not in GLOBAL_FLAGS] + list(args[end:])
+    load_commands(next(iter(rest), ""))
     console = Console(
         json="--json" in flags
     )  # what is wrong with the options themselves is JSON too

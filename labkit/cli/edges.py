@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from labkit.cli.app import app
+from labkit.cli.app import a_file_or_plan, a_file_or_session, app
 from labkit.cli.console import Console
-from labkit.cli.paths import a_file_or_plan, a_file_or_session
 from labkit.cli.sessions import Workers
 from labkit.errors import DataError
 

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from labkit.cli.app import CameraPlace, camera_app
+from labkit.cli.app import CameraPlace, camera_app, perhaps_a_plan
 from labkit.cli.console import Console
-from labkit.cli.paths import perhaps_a_plan
 
 if TYPE_CHECKING:
     from labkit.acquisition.focusing import FocusReading

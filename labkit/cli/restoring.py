@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from labkit.cli.app import app
+from labkit.cli.app import a_file_or_session, app
 from labkit.cli.console import Console
-from labkit.cli.paths import a_file_or_session
 from labkit.cli.sessions import Workers
 from labkit.errors import DataError
 

@@ -11,10 +11,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from labkit.cli.app import PlanPath, SessionPath, app
-from labkit.cli.complete import channels, studies
+from labkit.cli.app import (
+    PlanPath,
+    SessionPath,
+    a_file,
+    a_plan,
+    a_session,
+    app,
+    channels,
+    studies,
+)
 from labkit.cli.console import Console
-from labkit.cli.paths import a_file, a_plan, a_session
 from labkit.errors import DataError, LabkitError
 
 if TYPE_CHECKING:

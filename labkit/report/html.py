@@ -17,7 +17,6 @@ from labkit.report.contents import contents
 from labkit.report.curves import curves_of
 from labkit.report.downloads import Download, downloads_of
 from labkit.report.figures import DRAWINGS, draw_figures
-from labkit.report.pdf import write_pdf
 from labkit.report.photographs import photographs_of
 from labkit.report.plates import Panel, Plate
 from labkit.report.quantities import PLUS_MINUS
@@ -77,6 +76,8 @@ def write_report(
     with writing(path.with_suffix(".pdf")):
         path.with_suffix(".pdf").unlink(missing_ok=True)
     if pdf:
+        from labkit.report.pdf import write_pdf
+
         begin("printing the PDF")
         write_pdf(path)
     progress(total, total, "")

@@ -17,8 +17,7 @@ from labkit.photographs.exif import Exif, read_exif
 from labkit.report.quantities import UNKNOWN, fixed, when
 from labkit.report.table import Column, Row, Table
 from labkit.results import Results, Wavefront
-from labkit.session.describe import in_words
-from labkit.session.frame import Frame
+from labkit.session.frame import Frame, in_words
 from labkit.session.session import Session
 from labkit.types import Floats
 

@@ -27,14 +27,15 @@ from labkit.files import (
     writing,
 )
 from labkit.plan import Plan
-from labkit.session.describe import as_html, in_words
 from labkit.session.frame import (
     FRAMES_FOLDER,
     NEEDED_IN_EVENT,
     Frame,
+    as_html,
     doubled,
     event_problem,
     frame_of,
+    in_words,
     pending,
 )
 from labkit.session.journal import (

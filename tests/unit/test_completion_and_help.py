@@ -15,6 +15,7 @@ import typer
 
 from labkit.cli import bench, run, sessions
 from labkit.cli.app import app
+from labkit.cli.command_line import COMMANDS, load_commands
 from labkit.experiments.studies import STUDIES
 from labkit.panel.panels import PANELS
 from tests.plans import RED_AND_GREEN, SMALL, plan_text
@@ -106,3 +107,25 @@ def test_every_option_with_a_value_shows_its_default(
         ):  # which ask for something more
             without.append(option.opts[0])
     assert without == []
+
+
+def test_each_module_of_commands_is_known_by_its_first_words() -> None:
+    load_commands()
+    words = {first for words in COMMANDS.values() for first in words}
+    groups = {group.name for group in app.registered_groups}
+    named = {
+        c.name or (c.callback and c.callback.__name__) for c in app.registered_commands
+    }
+    assert words == groups | named
+
+
+def test_a_command_loads_no_other_commands() -> None:
+    code = (
+        "import sys; from labkit.cli.command_line import load_commands; load_commands('fit');"
+        "print(*sorted(m for m in sys.modules if m.startswith('labkit.cli.')))"
+    )
+    ran = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60
+    )
+    assert "labkit.cli.sessions" in ran.stdout
+    assert "labkit.cli.bench" not in ran.stdout

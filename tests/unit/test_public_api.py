@@ -11,8 +11,8 @@ import typer
 from typer.core import TyperGroup
 
 import labkit
-import labkit.cli.command_line
 from labkit.cli.app import app
+from labkit.cli.command_line import load_commands
 from labkit.session.session import Session
 from tests.results_samples import PLAN
 
@@ -93,6 +93,7 @@ def commands(group: TyperGroup, before: str = "") -> Iterator[str]:
 
 
 def test_what_a_command_does_a_script_can_do() -> None:
+    load_commands()
     group = typer.main.get_command(app)
     assert isinstance(group, TyperGroup)
     assert set(commands(group)) == set(COMMANDS)
