@@ -37,7 +37,7 @@ RELATED = {
     "labkit.target_file": ("Rendering",),
     "labkit.calibration.tone_wedge": ("Tone",),
     "labkit.edges.outcome": ("EdgesOutcome", "MeasuredEdge", "RejectedEdge"),
-    "labkit.restoration.restore": ("Restoration",),
+    "labkit.restoration.restored_photographs": ("Restoration",),
     "labkit.demo": ("Comparison",),
     "labkit.key": ("Key",),
     "labkit.session.frame": ("Frame",),

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from labkit.restoration.job import Area, Job
-    from labkit.restoration.restore import Restoration
+    from labkit.restoration.restored_photographs import Restoration
     from labkit.types import Floats32
 
 # What a command needs is imported inside it: `labkit --help` and tab completion must not wait for SciPy.
@@ -138,7 +138,7 @@ def restore(
     """Restore the scene behind photographs. By a session's lens, with standard errors."""
     a_file_or_session(*photographs, psf)
     from labkit.execute import default_workers
-    from labkit.restoration.restore import Wanted
+    from labkit.restoration.restored_photographs import Wanted
     from labkit.restoration.scenes import scenes_of
 
     if method not in METHOD_NAMES:

@@ -1,4 +1,4 @@
-"""The one number of a PSF that a photograph itself may determine: its defocus (blind restoration in one number)."""
+"""The one number of a PSF that a photograph itself may determine: its defocus."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from labkit.restoration.job import Job
 from labkit.restoration.tiles import CHOSEN_ON, areas_of
 from labkit.types import Floats, Progress, no_progress
 
-SPAN_WAVES, COARSE_STEP = (
+SPAN_WAVES, COARSE = (
     1.6,
     0.1,
 )  # of the search, from best focus on; its step, then a quarter of it
-MOST_PARTS, LEAST_PARTS, BLIND_PART_PX = (
+PARTS, LEAST_PARTS, PART_PX = (
     6,
     3,
     32,
-)  # whose likelihoods are multiplied: the richest in contrast
+)  # whose likelihoods are multiplied, the richest in contrast
 SURE = 3.0  # standard errors from best focus
 # waves, by which scenes' own blur, depth and spectra make it err: 0.22 RMS of three pictures of the study at 0, 0.3 and 1.07,
 # and once 0.7, of a real one (docs/decisions.md)
@@ -28,34 +28,48 @@ SCENES = 0.25
 
 @dataclass(frozen=True)
 class Defocus:
-    """Noll mode 4, waves RMS at the reference wavelength, mean of the colours'. std: its standard error; told: whether that
-    tells it from best focus, 0, which is taken otherwise."""
+    """A photograph's own defocus.
+
+    Attributes
+    ----------
+    waves : Noll mode 4, RMS at the reference wavelength, mean of the colours'
+    std : its standard error
+    determined : whether it differs from best focus, 0, which is used otherwise
+    """
 
     waves: float
     std: float
-    told: bool
+    determined: bool
+
+    @property
+    def doubts(self) -> list[str]:
+        """Sentences on a defocus that was not determined."""
+        if self.determined:
+            return []
+        return [
+            f"the photograph's own defocus, {abs(self.waves):.2f} ± {self.std:.2f} waves, does not differ from best focus: it "
+            "is restored as if taken there; where its range is known, give it with --range"
+        ]
 
 
 def fitted_defocus(job: Job, progress: Progress = no_progress) -> tuple[Job, Defocus]:
-    """The job with the likeliest defocus over all scenes; those of all colours are moved alike.
+    """Return the job with the likeliest defocus over all scenes, all colours moved alike, and that defocus.
 
-    Its sign is that of the session's own: a photograph hardly tells one from the other. Its error is a jackknife over parts:
-    a scene's spectrum is its own, and its depth is not one.
-    Raises ValueError where mode 4 is none of the modes.
+    It has the sign of the session's defocus, since a photograph hardly determines the sign. Its error is a jackknife over
+    parts, which differ in spectrum and depth. Raises ValueError if mode 4 is none of the modes.
     """
-    if any(4 not in colour.optics.noll for colour in job.colours):
+    defoci = [c.defocus for c in job.colours if c.defocus is not None]
+    if len(defoci) < len(job.colours):
         raise ValueError(
             "the session's wavefronts have no mode 4: their defocus cannot be fitted"
         )
-    own = float(
-        np.mean([colour.waves[colour.optics.noll.index(4)] for colour in job.colours])
-    )
-    coarse = np.arange(0, SPAN_WAVES + COARSE_STEP / 2, COARSE_STEP)
-    fine = np.arange(-0.75, 0.76, 0.25) * COARSE_STEP
+    own = float(np.mean(defoci))
+    coarse = np.arange(0, SPAN_WAVES + COARSE / 2, COARSE)
+    fine = np.arange(-0.75, 0.76, 0.25) * COARSE
     total = len(coarse) + len(fine)
 
     def scored(places: Floats, done: int) -> Floats:
-        """(places, parts)."""
+        """Return scores (places, parts)."""
         rows = []
         for k, place in enumerate(places):
             rows.append(_unlikely(moved(job, float(np.copysign(place, own)) - own)))
@@ -64,18 +78,15 @@ def fitted_defocus(job: Job, progress: Progress = no_progress) -> tuple[Job, Def
 
     rough = scored(coarse, 0)
     near = np.abs(coarse[np.argmin(rough.sum(axis=1))] + fine)
-    places, scores = (
-        np.concatenate([coarse, near]),
-        np.concatenate([rough, scored(near, len(coarse))]),
-    )
-    size, std = _jackknifed(places, scores)
-    told = size > SURE * std
+    scores = np.concatenate([rough, scored(near, len(coarse))])
+    size, std = _jackknifed(np.concatenate([coarse, near]), scores)
+    determined = size > SURE * std
     waves = float(np.copysign(size, own))
-    return moved(job, (waves if told else 0.0) - own), Defocus(waves, std, told)
+    return moved(job, (waves if determined else 0.0) - own), Defocus(waves, std, determined)
 
 
 def moved(job: Job, by_waves: float) -> Job:
-    """The job with every colour's defocus moved, waves RMS at the reference wavelength."""
+    """Return the job with every colour's defocus moved, waves RMS at the reference wavelength."""
     colours = []
     for colour in job.colours:
         step: Floats = np.zeros(len(colour.waves))
@@ -85,16 +96,16 @@ def moved(job: Job, by_waves: float) -> Job:
 
 
 def _unlikely(job: Job) -> Floats:
-    """(parts,) of a job."""
+    """Return the score of each part (parts,)."""
     coarse = job.of_samples(min(CHOSEN_ON, job.nyquist_samples))
-    views = [coarse.views(area) for area in areas_of(job, BLIND_PART_PX)[:MOST_PARTS]]
+    views = [coarse.views(area) for area in areas_of(job, PART_PX)[:PARTS]]
     return np.array(
         [unlikeliness(view, job.coupling) for view in views if view is not None]
     )
 
 
 def _jackknifed(places: Floats, scores: Floats) -> tuple[float, float]:
-    """The place of least summed score, and its standard error: by leaving out one part after the other, and by scenes.
+    """Return the place of least summed score, and its standard error by leaving out parts and by scenes.
 
     B. Efron and C. Stein, Ann. Statist. 9, 586 (1981).
     """

@@ -1,4 +1,4 @@
-"""How much of their detail the colours of a photograph have in common."""
+"""The covariance of a scene's colours: the share of detail that they have in common."""
 
 from __future__ import annotations
 
@@ -7,20 +7,19 @@ import numpy as np
 from labkit.restoration.job import Job
 from labkit.types import Floats
 
-LEAST_OWN = 0.02  # of the largest, that a combination of colours is held to vary by: greys leave colours nothing of their own
+LEAST_OWN = 0.02  # least variance of a combination of colours, relative to the largest: greys vary in one only
 
 
 def colour_coupling(job: Job) -> Floats:
-    """(colours, colours) inverse of the covariance of neighbours' differences, noise taken off; its trace's mean is 1.
+    """Return the inverse (colours, colours) of the covariance of neighbours' differences without noise, of mean diagonal 1.
 
-    A scene's colours share their edges; with this as `Roughness`'s coupling, what one colour's planes miss the others fill in.
+    A scene's colours share their edges: with this as coupling of `Roughness` the colours complete each other.
     """
     photograph, images, noise = job.photographs[0], [], []
     for colour in job.colours:
-        planes = [
-            photograph.counts[r :: job.period, c :: job.period] for r, c in colour.places
-        ]
-        used = [photograph.used[r :: job.period, c :: job.period] for r, c in colour.places]
+        places = [job.plane(place) for place in colour.places]
+        planes = [photograph.counts[place] for place in places]
+        used = [photograph.used[place] for place in places]
         images.append(np.where(np.all(used, axis=0), np.mean(planes, axis=0), np.nan))
         level = max(float(np.nanmean(images[-1])), 0.0)
         noise.append(2 * (colour.gain * level + colour.read_variance) / len(planes))

@@ -7,8 +7,7 @@ taken as even about each sample; what is clipped or dead has no weight in it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy.fft
@@ -18,109 +17,93 @@ from labkit.restoration.kriging import Kriging, Stiffness
 from labkit.restoration.views import Views
 from labkit.types import AnyFloats, Complexes, Floats, Floats32
 
-ERROR_LEVELS = 6
+LEVELS = 6
 FAINTEST = 1e-3  # of the usual weight: less counts as this much
-NEAR_CELLS = (
-    1.0  # standard deviation, cells, of the neighbourhood whose counts a sample hangs on
-)
+NEAR_CELLS = 1.0  # standard deviation of the neighbourhood that a sample depends on
+EVEN = 1e-6  # spread of logarithms of weights
 
 
-@dataclass(frozen=True, eq=False)
-class ErrorMap:
-    """std: (components, rows, columns) of the frame's samples, counts; by_penalty: which share of the variance is what the
-    penalty holds open, the rest being the noise's: where it is near 1 the penalty rules, and std is as true as the penalty is
-    of the scene."""
+class ErrorMap(NamedTuple):
+    """Errors of a restored scene.
+
+    Attributes
+    ----------
+    std : (components, rows, columns) of the frame's samples, counts
+    by_penalty : share of the variance that the penalty holds open, the rest being the noise's; near 1 the penalty rules,
+        and std is as true as the penalty is of the scene
+    """
 
     std: Floats32
     by_penalty: Floats32
 
 
 def standard_errors(
-    views: Views, small: Views, coupling: Floats, stiffness: float, means: Sequence[Floats]
+    views: Views, small: Views, coupling: Floats, stiffness: float, means: Floats
 ) -> ErrorMap:
-    """Of the scene that `restore` finds, the bound at 0 left out.
+    """Return the errors of the scene by `restore`, without regard to its bound at 0.
 
-    small: the same planes through the same lenses on a torus that is only as large as the PSF; stiffness: as `Strength` has it;
-    means: of each plane of `views`.
+    Parameters
+    ----------
+    views : the data
+    small : the same planes through the same lenses on a torus only as large as the PSF
+    coupling : as of `Roughness`
+    stiffness : as of `Strength`
+    means : (views, rows, columns)
     """
-    weights = [
-        view.light**2 * view.weight(mean) for view, mean in zip(views, means, strict=True)
-    ]
-    typical = [float(np.median(weight[weight > 0])) for weight in weights]
+    weights = views.light**2 * views.weights(means)
+    usual = np.array([np.median(weight[weight > 0]) for weight in weights])
+    # a mean over each cell's neighbourhood, in which places beyond the frame have no weight
     near = np.mean(
-        [_near(weight / usual) for weight, usual in zip(weights, typical, strict=True)],
+        [
+            ndimage.gaussian_filter(weight / of, NEAR_CELLS, mode="constant")
+            for weight, of in zip(weights, usual, strict=True)
+        ],
         axis=0,
     )
     level = np.log(np.maximum(near, FAINTEST))
-    at = (
-        np.linspace(level.min(), level.max(), ERROR_LEVELS)
-        if np.ptp(level) > 1e-6
-        else np.array([level.mean()])
-    )
-    every = [
-        _even(small, coupling, stiffness, [usual * np.exp(one) for usual in typical])
-        for one in at
-    ]
-    variance, share = (np.array([pair[k] for pair in every]) for k in (0, 1))
+    even = np.ptp(level) <= EVEN
+    at = np.full(1, level.mean()) if even else np.linspace(level.min(), level.max(), LEVELS)
+    every = [_even(small, coupling, stiffness, usual * np.exp(one)) for one in at]
     step = views.grid.cells.oversampling
     std, by_penalty = (
-        _spread_out(np.log(values), at, level, step) for values in (variance, share)
+        _spread_out(np.log([pair[k] for pair in every]), at, level, step) for k in (0, 1)
     )
     return ErrorMap(np.exp(0.5 * std), np.exp(by_penalty))
 
 
-def _near(weight: Floats) -> Floats:
-    """A mean over each cell's neighbourhood; what lies beyond the frame has no weight."""
-    return ndimage.gaussian_filter(weight, NEAR_CELLS, mode="constant")
-
-
 def _even(
-    small: Views, coupling: Floats, stiffness: float, weights: Sequence[float]
+    small: Views, coupling: Floats, stiffness: float, weights: Floats
 ) -> tuple[Floats, Floats]:
     """(components, step, step) variance of a cell's samples, and the penalty's share of it, where weights are even."""
     grid = small.grid
     longest = max(side / grid.samples for side in grid.shape)
     rough = stiffness / grid.samples**2
     solid = Stiffness(grid, coupling, rough, rough * (2 * np.pi / longest) ** 2)
-    full = [
-        np.full(view.counts.shape, weight)
-        for view, weight in zip(small, weights, strict=True)
-    ]
-    inverse = _whole_plane(Kriging(small, solid, full).nearly, grid.cells.pixels)
-    half = grid.shape[0] // 2 + 1
+    full = [np.full(small.counts.shape[1:], weight) for weight in weights]
+    kriging = Kriging(small, solid, full)
+    # half planes over columns of kernels that are real, made whole
+    whole = scipy.fft.irfft2(kriging.nearly, s=grid.cells.pixels)
+    inverse = np.asarray(scipy.fft.fft2(whole))
+    half, step = grid.shape[0] // 2 + 1, grid.cells.oversampling
     variances, shares = [], []
-    for component in range(small.components):
-        before = float(
-            np.sum(grid.share * solid.between(component, component), dtype=np.float64)
-        )
-        kernels: list[Complexes] = [
-            np.multiply(
-                np.conj(view.transfer),
-                solid.between(component, view.component),
-                dtype=complex,
-            )
-            for view in small
-        ]
-        taken, noise = (
-            np.zeros(2 * (grid.cells.oversampling,)),
-            np.zeros(2 * (grid.cells.oversampling,)),
-        )
+    for c in range(small.components):
+        before = float(np.sum(grid.share * solid.between(c, c), dtype=np.float64))
+        kernels: list[Complexes] = []
+        for view in small:
+            between = solid.between(c, view.component)
+            kernels.append(np.multiply(np.conj(view.transfer), between, dtype=complex))
+        taken, noise = np.zeros((step, step)), np.zeros((step, step))
         for j, kernel in enumerate(kernels):
             answer: Complexes = np.zeros(kernel.shape, complex)
             for i, other in enumerate(kernels):
-                answer += _repeated(inverse[i, j], half, grid.cells.oversampling) * other
+                answer += _repeated(inverse[i, j], half, step) * other
             free, held = grid.image(kernel), grid.image(answer)
-            taken = taken + _over_cells(free * held, grid.cells.oversampling)
-            noise = noise + _over_cells(held**2, grid.cells.oversampling) / weights[j]
+            taken += _over_cells(free * held, step)
+            noise += _over_cells(held**2, step) / weights[j]
         variance = before - taken
         variances.append(variance)
         shares.append(np.clip(1 - noise / variance, 1e-6, 1.0))
     return np.array(variances), np.array(shares)
-
-
-def _whole_plane(half: Complexes, cells: tuple[int, int]) -> Complexes:
-    """(views, views, rows, columns) of half planes over columns, of kernels that are real."""
-    return np.asarray(scipy.fft.fft2(scipy.fft.irfft2(half, s=cells)))
 
 
 def _repeated(cells: Complexes, half: int, times: int) -> Complexes:

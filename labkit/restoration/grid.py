@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -173,11 +174,9 @@ class SceneGrid:
         kernel = 2.0 / self.cells.oversampling**2 * scipy.fft.ifft2(folded).real
         return np.asarray(scipy.fft.rfft2(kernel))
 
-    def seen(self, planes: list[tuple[tuple[int, int], Bools]]) -> Bools:
-        """(rows, columns) fine samples in cells of the frame that some plane has data of. planes: place in the cell, used."""
-        used = np.zeros(self.cells.frame, bool)
-        for _, mask in planes:
-            used |= mask
+    def seen(self, planes: Sequence[Bools]) -> Bools:
+        """Return the mask (rows, columns) of fine samples in cells of the frame with data. planes: used counts of each."""
         seen, step = np.zeros(self.shape, bool), self.cells.oversampling
+        used = np.any(planes, axis=0)
         seen[self.inner] = np.repeat(np.repeat(used, step, axis=0), step, axis=1)
         return seen

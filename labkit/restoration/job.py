@@ -1,4 +1,4 @@
-"""Photographs of one scene and the lenses they were taken through, and how parts of them become views of a scene's part."""
+"""Photographs of one scene and the lenses in front of them, and their areas as views of a part of the scene."""
 
 from __future__ import annotations
 
@@ -20,20 +20,21 @@ from labkit.types import AnyFloats, Bools, Complexes64, Floats
 Area = tuple[slice, slice]
 """Rows and columns of the photographs, pixels."""
 
-Shift = tuple[float, float]
-"""Pixels down and right."""
-
-LEAST_USED = 4
-"""Counts of a plane's part; one with fewer is left out."""
+LEAST_USED = 4  # counts of a plane in an area
 
 
 @dataclass(frozen=True, eq=False)
 class Colour:
-    """One colour of the scene: where its pixels lie in the filter array's cell, and the lens in its light.
+    """One colour of the scene: its pixels in the filter array's cell, and the lens in its light.
 
-    optics, waves: of the session; waves_at: (row, column) of a place in the photograph -> (modes,), where they differ over the
-    field. gain: counts an electron; read_variance: counts squared. motion: (2, 3), lateral colour: where what another colour
-    shows at [row, column, 1] stands in this one, less [row, column], px.
+    Attributes
+    ----------
+    name : of the channel
+    places : (row, column) in the cell
+    optics, waves : of the session
+    gain, read_variance : counts per electron, counts squared
+    motion : (2, 3), lateral colour: displacement in this colour of what another one shows at [row, column, 1], px
+    waves_at : (row, column) of a place in the photograph -> (modes,), if they differ over the field
     """
 
     name: str
@@ -45,15 +46,28 @@ class Colour:
     motion: Floats = field(default_factory=lambda: np.zeros((2, 3)))
     waves_at: Callable[[float, float], Floats] | None = None
 
+    @property
+    def defocus(self) -> float | None:
+        """Waves RMS at the reference; None without Noll mode 4."""
+        noll = self.optics.noll
+        return float(self.waves[noll.index(4)]) if 4 in noll else None
+
     def waves_near(self, place: tuple[float, float]) -> Floats:
-        """(modes,) at a place in the photograph."""
+        """Return the modes (modes,) at a place in the photograph."""
         return self.waves if self.waves_at is None else self.waves_at(*place)
 
 
 @dataclass(frozen=True, eq=False)
 class Exposure:
-    """counts: (rows, columns) of all colours, black removed. used: neither clipped nor dead. light: relative illumination.
-    motion: (2, 3), where what the first photograph shows at [row, column, 1] stands in this one, less [row, column], px."""
+    """A photograph of the scene.
+
+    Attributes
+    ----------
+    counts : (rows, columns) of all colours, above black
+    used : neither clipped nor dead
+    light : relative illumination
+    motion : (2, 3), displacement in this photograph of what the first one shows at [row, column, 1], px
+    """
 
     counts: AnyFloats
     used: Bools
@@ -63,8 +77,16 @@ class Exposure:
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """All that a scene is to be restored from. period: pixels to a cell of the filter array; samples: of the scene to a pixel;
-    guard_px: from how far beyond its frame a part of the scene is followed. coupling: as `Roughness` has it."""
+    """All that a scene is restored from.
+
+    Attributes
+    ----------
+    photographs, colours : photographs of the scene, and lenses
+    period : pixels of a side of the filter array's cell
+    samples : of the scene, for each pixel
+    guard_px : width of the rim beyond a frame from which light reaches it
+    coupling : as of `Roughness`
+    """
 
     photographs: tuple[Exposure, ...]
     colours: tuple[Colour, ...]
@@ -81,141 +103,120 @@ class Job:
 
     @property
     def pitch_um(self) -> float:
-        """Of pixels."""
+        """Pitch of the pixels."""
         return self.colours[0].optics.pitch_um
 
     @property
     def nyquist_samples(self) -> int:
-        """To a pixel, that hold all that the lens passes."""
+        """Samples of a pixel that hold all frequencies that the lens passes."""
         optics = [colour.optics for colour in self.colours]
         nyquist_um = min(o.airy_um * o.shortest / (2 * o.rim.reach) for o in optics)
         return math.ceil(self.pitch_um / nyquist_um * (1 - 1e-9))
 
+    def plane(self, place: tuple[int, int], area: Area | None = None) -> Area:
+        """Return slices of the pixels at a place of the cell, in an area of whole cells."""
+        rows, columns = area or (slice(0, None), slice(0, None))
+        return (
+            slice(rows.start + place[0], rows.stop, self.period),
+            slice(columns.start + place[1], columns.stop, self.period),
+        )
+
     def of_samples(self, samples: int) -> Job:
-        """The same on a grid of so many samples to a pixel."""
+        """Return the job on a grid of so many samples for each pixel."""
         return replace(self, samples=samples)
 
     def only(self, components: Sequence[int]) -> Job:
-        """The same of some of its colours."""
+        """Return the job of some colours."""
         colours = tuple(self.colours[c] for c in components)
         covariance = np.linalg.inv(self.coupling)[np.ix_(components, components)]
         return replace(self, colours=colours, coupling=np.linalg.inv(covariance))
 
     def sees(self, component: int) -> bool:
-        """Whether some plane has usable counts of a colour."""
+        """Whether a plane has usable counts of a colour."""
         return any(
-            photograph.used[row :: self.period, column :: self.period].sum() >= LEAST_USED
+            photograph.used[self.plane(place)].sum() >= LEAST_USED
             for photograph in self.photographs
-            for row, column in self.colours[component].places
+            for place in self.colours[component].places
         )
 
     def cut(self, area: Area) -> Job:
-        """A part of it, with the lens and the motion of its place."""
+        """Return an area of the job, with the lens and the motion of its place."""
         origin = np.array([area[0].start, area[1].start], float)
         photographs = tuple(
-            replace(
-                p,
-                counts=p.counts[area],
-                used=p.used[area],
-                light=p.light[area],
-                motion=_from(p.motion, origin),
+            Exposure(
+                p.counts[area], p.used[area], p.light[area], begun_at(p.motion, origin)
             )
             for p in self.photographs
         )
-        place = (
-            (area[0].start + area[0].stop - 1) / 2,
-            (area[1].start + area[1].stop - 1) / 2,
-        )
         colours = tuple(
             replace(
-                c, waves=c.waves_near(place), waves_at=None, motion=_from(c.motion, origin)
+                c,
+                waves=c.waves_near(middle_of(area)),
+                waves_at=None,
+                motion=begun_at(c.motion, origin),
             )
             for c in self.colours
         )
         return replace(self, photographs=photographs, colours=colours)
 
     def views(self, area: Area) -> Views | None:
-        """Of the scene in an area of whole cells; None where no count of it can be used."""
+        """Return the views of the scene in an area of whole cells; None if a colour has no usable count."""
         frame = (area[0].stop - area[0].start, area[1].stop - area[1].start)
         grid = SceneGrid(frame, self.guard_px, self.pitch_um, self.samples, self.period)
-        place = (
-            (area[0].start + area[0].stop - 1) / 2,
-            (area[1].start + area[1].stop - 1) / 2,
-        )
+        middle = middle_of(area)
         found: list[View] = []
         for component, colour in enumerate(self.colours):
-            transfer = transfer_on(grid, colour.optics, colour.waves_near(place))
+            transfer = transfer_on(grid, colour.optics, colour.waves_near(middle))
             for photograph in self.photographs:
-                down, right = (photograph.motion + colour.motion) @ np.array([*place, 1.0])
-                by = (float(down), float(right))
-                found += self._planes(photograph, area, component, grid, transfer, by)
-        return (
-            Views(grid, tuple(found), len(self.colours)) if self._complete(found) else None
-        )
+                shift = (photograph.motion + colour.motion) @ np.array([*middle, 1.0])
+                for place in colour.places:
+                    plane = self.plane(place, area)
+                    if photograph.used[plane].sum() < LEAST_USED:
+                        continue
+                    down, right = shift - place
+                    view = View(
+                        component,
+                        place,
+                        grid.shifted(transfer, (float(down), float(right))),
+                        photograph.counts[plane].astype(np.float64),
+                        photograph.used[plane],
+                        photograph.light[plane].astype(np.float64),
+                        colour.gain,
+                        colour.read_variance,
+                    )
+                    found.append(view)
+        if len({view.component for view in found}) < len(self.colours):
+            return None
+        return Views(grid, tuple(found), len(self.colours))
 
-    def small(self, place: tuple[float, float], cells: int) -> Views:
-        """The same planes on a torus of a few cells, all counts there: what errors of even noise are computed on."""
+    def small(self, cells: int) -> Views:
+        """Return the planes on a torus of a few cells, all counts used: errors of even noise are computed on it."""
         side = cells * self.period
         one, none = np.ones((side, side)), np.zeros((side, side))
         photographs = tuple(
-            replace(p, counts=none, used=one > 0, light=one) for p in self.photographs
+            Exposure(none, one > 0, one, p.motion) for p in self.photographs
         )
         job = replace(self, photographs=photographs, guard_px=0)
-        views = replace(
-            job,
-            colours=tuple(
-                replace(c, waves=c.waves_near(place), waves_at=None) for c in self.colours
-            ),
-        )
-        found = views.views((slice(0, side), slice(0, side)))
+        found = job.views((slice(0, side), slice(0, side)))
         assert found is not None
         return found
 
-    def _planes(
-        self,
-        photograph: Exposure,
-        area: Area,
-        component: int,
-        grid: SceneGrid,
-        transfer: Complexes64,
-        by: Shift,
-    ) -> Sequence[View]:
-        colour, found = self.colours[component], []
-        for row, column in colour.places:
-            plane = (
-                slice(area[0].start + row, area[0].stop, self.period),
-                slice(area[1].start + column, area[1].stop, self.period),
-            )
-            used = photograph.used[plane]
-            if used.sum() < LEAST_USED:
-                continue
-            found.append(
-                View(
-                    component,
-                    (row, column),
-                    grid.shifted(transfer, (by[0] - row, by[1] - column)),
-                    photograph.counts[plane].astype(np.float64),
-                    used,
-                    photograph.light[plane].astype(np.float64),
-                    colour.gain,
-                    colour.read_variance,
-                )
-            )
-        return found
 
-    def _complete(self, found: Sequence[View]) -> bool:
-        return {view.component for view in found} == set(range(len(self.colours)))
+def middle_of(area: Area) -> tuple[float, float]:
+    """Return (row, column) of an area's centre."""
+    rows, columns = area
+    return (rows.start + rows.stop - 1) / 2, (columns.start + columns.stop - 1) / 2
 
 
-def _from(motion: Floats, origin: Floats) -> Floats:
-    """A motion in coordinates that begin elsewhere."""
+def begun_at(motion: Floats, origin: Floats) -> Floats:
+    """Return a motion in coordinates that begin at an origin (2,)."""
     moved = motion.copy()
     moved[:, 2] += motion[:, :2] @ origin
     return moved
 
 
 def transfer_on(grid: SceneGrid, optics: Optics, waves: Floats) -> Complexes64:
-    """Half plane of the transfer function of lens, pixel and camera. waves: (modes,) RMS at the reference wavelength."""
+    """Return the half plane of the transfer function of lens, pixel and camera. waves: (modes,) RMS at the reference."""
     torus, side_um = grid.pixels, min(grid.pixels.fine) * grid.pixels.spacing_um
     cutoff = optics.rim.reach / (optics.airy_um * optics.shortest)
     finer = max(math.ceil(2 * torus.spacing_um * cutoff * (1 - 1e-9)), 1)

@@ -70,55 +70,42 @@ class Kriging:
     """The scene of a quadratic penalty, given data with noise: `weights` (rows, columns) of each view's, 0 where not used."""
 
     def __init__(
-        self, views: Views, stiffness: Stiffness, weights: Sequence[Floats]
+        self, views: Views, stiffness: Stiffness, weights: Sequence[Floats] | Floats
     ) -> None:
         self.views, self.stiffness, self.grid = views, stiffness, views.grid
-        self.light = np.array([view.light for view in views])
         self._between = self._kernels()
         self.weigh(weights)
 
-    def weigh(self, weights: Sequence[Floats]) -> None:
+    def weigh(self, weights: Sequence[Floats] | Floats) -> None:
         """Take other weights."""
         self.used = np.array(weights) > 0
         self.variance = 1 / np.where(self.used, weights, 1.0)
         self._invert()
 
     def _invert(self) -> None:
-        """What `apply` does, inverted, were all counts there and equally good."""
+        """Invert `apply` for the case that all counts are used and equally good."""
         blocks = self._blocks()
-        self.nearly: Complexes = np.asarray(
-            np.moveaxis(
-                np.linalg.inv(blocks) if blocks.shape[-1] > 1 else 1 / blocks,
-                (2, 3),
-                (0, 1),
-            ),
-            complex,
-        )
-        self._roughly = self.nearly.astype(
-            np.complex64
-        )  # a preconditioner need be no more exact
+        inverse = np.linalg.inv(blocks) if blocks.shape[-1] > 1 else 1 / blocks
+        self.nearly: Complexes = np.asarray(np.moveaxis(inverse, (2, 3), (0, 1)), complex)
+        self._roughly = self.nearly.astype(np.complex64)  # precise enough to precondition
 
     def _blocks(self) -> Complexes:
-        """(rows, columns // 2 + 1, views, views) of what `apply` does by frequency, were all counts as good as the median."""
-        return np.asarray(
-            np.moveaxis(self._between, (0, 1), (2, 3)) + np.diag(self._typical())
-        )
+        """Return (rows, columns // 2 + 1, views, views) of `apply` by frequency, all counts as good as the median."""
+        between = np.moveaxis(self._between, (0, 1), (2, 3))
+        return np.asarray(between + np.diag(self._typical()))
 
     def _typical(self) -> Floats:
-        """(views,) median variances."""
-        return np.array(
-            [np.median(v[u]) for v, u in zip(self.variance, self.used, strict=True)]
-        )
+        """Return the median variance of each view."""
+        pairs = zip(self.variance, self.used, strict=True)
+        return np.array([np.median(variance[used]) for variance, used in pairs])
 
     def log_determinant(self) -> float:
-        """Of what `apply` does over that of the variances alone: all frequencies', as many as there are used counts."""
+        """Return the log determinant of `apply` over that of the variances, by its mean over frequencies."""
         logs, columns = np.linalg.slogdet(self._blocks())[1], self.grid.cells.pixels[1]
-        twice = np.where(
-            (np.arange(logs.shape[1]) * 2) % columns == 0, 1.0, 2.0
-        )  # half a plane stands for all of it
-        mean = float(np.sum(twice * logs) / (twice.sum() * len(logs))) - float(
-            np.sum(np.log(self._typical()))
-        )
+        edge = (np.arange(logs.shape[1]) * 2) % columns == 0
+        twice = np.where(edge, 1.0, 2.0)  # half a plane stands for all of it
+        mean = float(np.sum(twice * logs) / (twice.sum() * len(logs)))
+        mean -= float(np.sum(np.log(self._typical())))
         return mean * float(self.used.sum()) / len(self.views)
 
     def stiffer(self, factor: float) -> Kriging:
@@ -160,12 +147,14 @@ class Kriging:
     def data_part(self, planes: Floats) -> Floats:
         """H K^-1 H^T of planes, at used counts."""
         return np.where(
-            self.used, self.light * self._convolved(self._between, self.light * planes), 0.0
+            self.used,
+            self.views.light * self._convolved(self._between, self.views.light * planes),
+            0.0,
         )
 
     def scene(self, planes: Floats) -> AnyComplexes:
         """Half planes of K^-1 H^T u."""
-        return self.stiffness.inverse(self.views.spread(list(planes)))
+        return self.stiffness.inverse(self.views.spread(planes))
 
     def _kernels(self) -> Complexes:
         """(views, views, rows, columns // 2 + 1) DFT of how light in one plane moves the other, on the torus of cells."""
@@ -174,9 +163,8 @@ class Kriging:
         for i, one in enumerate(self.views):
             for j, other in enumerate(self.views.views[: i + 1]):
                 give = self.stiffness.between(one.component, other.component)
-                between[j, i] = self.grid.kernel(
-                    give * np.conj(one.transfer) * other.transfer
-                )
+                moved = give * np.conj(one.transfer) * other.transfer
+                between[j, i] = self.grid.kernel(moved)
                 between[i, j] = np.conj(between[j, i])
         return between
 

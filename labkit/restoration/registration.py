@@ -10,7 +10,7 @@ import numpy as np
 from scipy import ndimage
 
 from labkit.errors import DataError
-from labkit.restoration.job import Area, Exposure, Job
+from labkit.restoration.job import Area, Exposure, Job, middle_of
 from labkit.restoration.kriging import Kriging, Stiffness
 from labkit.restoration.views import Views
 from labkit.types import AnyComplexes, Floats, Floats32
@@ -94,7 +94,7 @@ def refined(job: Job) -> Job:
 def _scene(views: Views, job: Job) -> AnyComplexes:
     """Half planes of the scene without the bound, under a penalty about as strong as a choice would make it."""
     levels = views.levels()
-    means = [view.light * levels[view.component] for view in views]
+    means = views.flat(levels)
     weights = views.weights(means)
     density = sum(float(w.mean()) for w in weights) / len(job.photographs) / job.period**2
     rough = SOFT_PENALTY * density / (np.pi / 2) ** 2 / job.samples**2
@@ -103,11 +103,9 @@ def _scene(views: Views, job: Job) -> AnyComplexes:
         Stiffness(views.grid, job.coupling, rough, rough * (2 * np.pi / LONGEST_PX) ** 2),
         weights,
     )
-    apart = np.array([view.counts - mean for view, mean in zip(views, means, strict=True)])
-    spectra = kriging.scene(kriging.solve(apart))
-    spectra[:, 0, 0] += (levels * views.grid.shape[0] * views.grid.shape[1]).astype(
-        np.float32
-    )
+    spectra = kriging.scene(kriging.solve(views.counts - means))
+    size = views.grid.shape[0] * views.grid.shape[1]
+    spectra[:, 0, 0] += (levels * size).astype(np.float32)
     return spectra
 
 
@@ -117,7 +115,7 @@ def _step(job: Job, photograph: Exposure, area: Area, scene: AnyComplexes) -> Fl
     if views is None:
         return np.zeros((2, 3))
     grid, half = views.grid, max(views.grid.frame) / 2
-    centre = np.array([(part.start + part.stop - 1) / 2 for part in area])
+    centre = np.array(middle_of(area))
     normal = np.diag(np.tile([1.0, 1.0, 0.0], 2) / (half * USUAL_TURN) ** 2)
     right = -normal @ (half * photograph.motion).ravel()
     for view, mean in zip(views, views.means(scene), strict=True):

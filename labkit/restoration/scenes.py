@@ -10,7 +10,7 @@ from typing import Protocol
 from labkit.errors import DataError, SessionError
 from labkit.execute import default_workers
 from labkit.files import links_in, refuse_links
-from labkit.restoration.restore import (
+from labkit.restoration.restored_photographs import (
     Restoration,
     Say,
     Wanted,

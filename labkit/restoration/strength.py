@@ -125,9 +125,7 @@ class Trial:
         self.views = views
         self.weights = [_weight(view) for view in views]
         self.levels = views.levels()
-        self.apart = np.array(
-            [view.counts - self.levels[view.component] * view.light for view in views]
-        )
+        self.apart = views.counts - views.flat(self.levels)
         self.signs = rng.choice([-1.0, 1.0], self.apart.shape)
         density = sum(float(np.mean(w)) for w in self.weights) / views.grid.period**2
         self.unit = density / (2 * np.pi * PER_PX) ** 2

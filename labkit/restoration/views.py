@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -14,13 +15,22 @@ from labkit.types import AnyComplexes, Bools, Complexes64, Floats
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One plane of a mosaic: what the scene looks like through one colour's lens, at one place of the filter array's cell.
+    """One plane of a mosaic: the scene through one colour's lens, at one place of the filter array's cell.
 
-    component: which of the scene's colours it shows. place: (row, column) in the cell. transfer: half plane, of lens, pixel and
-    shift, the place's own included: `SceneGrid.shifted`. counts: (rows, columns) of cells, black removed; used: of those that
-    are neither clipped nor dead. light: relative illumination, by which the scene's light is multiplied. gain: counts an
-    electron; read_variance: counts squared, of what does not depend on the light.
-    Raises ValueError for noise that is none and a plane without a used pixel.
+    Attributes
+    ----------
+    component : which of the scene's colours it shows
+    place : (row, column) in the cell
+    transfer : half plane, of lens, pixel and shift, the place's own included: `SceneGrid.shifted`
+    counts : (rows, columns) of cells, above black
+    used : usable counts
+    light : relative illumination, which multiplies the scene
+    gain : counts per electron
+    read_variance : counts squared
+
+    Raises
+    ------
+    ValueError : noise that is not above 0, or a plane without a used pixel
     """
 
     component: int
@@ -41,29 +51,28 @@ class View:
             raise ValueError("a plane without a usable pixel")
 
     def expected(self, mean: Floats) -> NormalCounts:
-        """Distribution of counts about a mean, of all pixels (rows, columns) or some."""
+        """Return the distribution of counts about a mean."""
         return NormalCounts(mean, self.gain, self.read_variance)
 
-    def misfit(self, mean: Floats) -> float:
-        """Minus the log-likelihood of the used counts, but for a constant."""
-        return -self.expected(mean[self.used]).log_likelihood(self.counts[self.used])
+    def seen(self, mean: Floats) -> NormalCounts:
+        """Return the distribution of the used counts about a mean (rows, columns)."""
+        return self.expected(mean[self.used])
 
     def slope(self, mean: Floats) -> Floats:
-        """Its derivative by the mean, (rows, columns), 0 where not used."""
+        """Return the misfit's derivative (rows, columns) by the mean, 0 for unused counts."""
         return np.where(self.used, -self.expected(mean).pulls(self.counts)[0], 0.0)
 
     def weight(self, mean: Floats) -> Floats:
-        """What its second derivative is on average, (rows, columns), 0 where not used."""
+        """Return the misfit's mean second derivative (rows, columns), 0 for unused counts."""
         return np.where(self.used, self.expected(mean).weights()[0], 0.0)
-
-    def chi2(self, mean: Floats) -> float:
-        """Squared deviations of the used counts, each over its variance, summed."""
-        return self.expected(mean[self.used]).chi2(self.counts[self.used])
 
 
 @dataclass(frozen=True, eq=False)
 class Views:
-    """All planes that show one scene, of all colours and frames. components: the scene's colours."""
+    """All planes that show one scene, of all colours and frames. components: number of the scene's colours.
+
+    Arrays of planes are (views, rows, columns).
+    """
 
     grid: SceneGrid
     views: tuple[View, ...]
@@ -75,55 +84,70 @@ class Views:
     def __iter__(self) -> Iterator[View]:
         return iter(self.views)
 
+    @cached_property
+    def counts(self) -> Floats:
+        """Counts above black of all planes."""
+        return np.array([view.counts for view in self])
+
+    @cached_property
+    def light(self) -> Floats:
+        """Relative illumination of all planes."""
+        return np.array([view.light for view in self])
+
     @property
     def data(self) -> int:
-        """Counts that are used."""
-        return int(sum(view.used.sum() for view in self.views))
+        """Number of used counts."""
+        return int(sum(view.used.sum() for view in self))
 
     def levels(self) -> Floats:
-        """(components,) mean of the scene by all planes of a colour: each by its own would set shifted frames at odds."""
-        means = [
-            (v.component, float(v.counts[v.used].mean() / v.light[v.used].mean()))
-            for v in self
-        ]
-        return np.array(
-            [np.mean([mean for c, mean in means if c == k]) for k in range(self.components)]
-        )
+        """Return the mean of the scene in each colour, by all its planes: separate means would contradict each other."""
+        totals, planes = np.zeros(self.components), np.zeros(self.components)
+        for view in self:
+            mean = view.counts[view.used].mean() / view.light[view.used].mean()
+            totals[view.component] += mean
+            planes[view.component] += 1
+        return totals / planes
+
+    def flat(self, levels: Floats) -> Floats:
+        """Return all planes of an even scene, levels (components,)."""
+        return np.array([view.light * levels[view.component] for view in self])
 
     def seen(self) -> Bools:
-        """(rows, columns) fine samples of the frame where there are data."""
-        return self.grid.seen([(view.place, view.used) for view in self.views])
+        """Return the mask (rows, columns) of fine samples of the frame with data."""
+        return self.grid.seen([view.used for view in self])
 
-    def means(self, spectra: AnyComplexes) -> list[Floats]:
-        """Each plane's mean. spectra: (components, half, columns) of the scene."""
-        return [
-            v.light * self.grid.sample(spectra[v.component] * v.transfer)
-            for v in self.views
-        ]
+    def means(self, spectra: AnyComplexes) -> Floats:
+        """Return the mean counts of all planes. spectra: (components, half, columns) of the scene."""
+        return np.array(
+            [v.light * self.grid.sample(spectra[v.component] * v.transfer) for v in self]
+        )
 
-    def spread(self, planes: Sequence[Floats]) -> AnyComplexes:
-        """`means`'s transpose: (components, half, columns)."""
+    def spread(self, planes: Sequence[Floats] | Floats) -> AnyComplexes:
+        """Return the transpose of `means`: (components, half, columns)."""
         rows, columns = self.grid.shape
         total = np.zeros((self.components, rows // 2 + 1, columns), np.complex64)
-        for view, plane in zip(self.views, planes, strict=True):
+        for view, plane in zip(self, planes, strict=True):
             total[view.component] += self.grid.spread(view.light * plane, view.transfer)
         return total
 
-    def misfit(self, means: Sequence[Floats]) -> float:
-        """Minus the log-likelihood of all counts."""
-        return sum(view.misfit(mean) for view, mean in zip(self.views, means, strict=True))
+    def misfit(self, means: Floats) -> float:
+        """Return minus the log-likelihood of the used counts."""
+        return -sum(
+            view.seen(mean).log_likelihood(view.counts[view.used])
+            for view, mean in zip(self, means, strict=True)
+        )
 
-    def slopes(self, means: Sequence[Floats]) -> list[Floats]:
-        """Its derivatives by the means."""
-        return [view.slope(mean) for view, mean in zip(self.views, means, strict=True)]
+    def slopes(self, means: Floats) -> Floats:
+        """Return the misfit's derivatives by the means."""
+        return np.array([v.slope(mean) for v, mean in zip(self, means, strict=True)])
 
-    def weights(self, means: Sequence[Floats]) -> list[Floats]:
-        """Its second derivatives, on average."""
-        return [view.weight(mean) for view, mean in zip(self.views, means, strict=True)]
+    def weights(self, means: Sequence[Floats] | Floats) -> Floats:
+        """Return the misfit's mean second derivatives."""
+        return np.array([v.weight(mean) for v, mean in zip(self, means, strict=True)])
 
-    def chi2_per_pixel(self, means: Sequence[Floats]) -> float:
-        """Of all used counts."""
-        return (
-            sum(view.chi2(mean) for view, mean in zip(self.views, means, strict=True))
-            / self.data
+    def chi2(self, means: Floats) -> float:
+        """Return the squared deviations of the used counts over their variances, summed."""
+        return sum(
+            view.seen(mean).chi2(view.counts[view.used])
+            for view, mean in zip(self, means, strict=True)
         )

@@ -47,14 +47,14 @@ def found(seed: int, waves: float) -> tuple[Job, Defocus]:
 
 def test_the_defocus_of_a_photograph_is_found() -> None:
     taken, defocus = found(1, 1.0)
-    assert defocus.told
+    assert defocus.determined
     assert abs(defocus.waves - 1.0) < 2 * defocus.std < 0.7  # 1.38 ± 0.32 measured
     assert taken.colours[0].waves[0] == pytest.approx(defocus.waves)
 
 
 def test_a_photograph_in_focus_is_left_there() -> None:
     taken, defocus = found(1, 0.0)
-    assert not defocus.told
+    assert not defocus.determined
     assert taken.colours[0].waves[0] == pytest.approx(0)
 
 

@@ -157,14 +157,14 @@ def test_the_misfits_curvature_is_the_mean_of_its_gradients_differences_over_the
     assert np.mean(slopes) == pytest.approx(view.weight(mean).mean(), rel=5e-3)
 
 
-def dense(views: Views, stiffness: Stiffness, weights: list[np.ndarray]) -> np.ndarray:
+def dense(views: Views, stiffness: Stiffness, weights: np.ndarray) -> np.ndarray:
     """K + H^T W H of a small scene of one colour, (samples, samples), column by column."""
     size, columns = views.grid.shape[0] * views.grid.shape[1], []
     for k in range(size):
         unit = np.zeros((1, *views.grid.shape))
         unit.flat[k] = 1
         spectra = views.grid.spectrum(unit)
-        seen = [w * m for w, m in zip(weights, views.means(spectra), strict=True)]
+        seen = weights * views.means(spectra)
         columns.append(
             views.grid.image(views.spread(seen) + spectra / stiffness.give).ravel()
         )
@@ -180,25 +180,21 @@ def small(frame: int, guard_px: int, counts: float = 1000.0) -> tuple[Job, Views
 
 def test_kriging_solves_the_normal_equations() -> None:
     _, views = small(12, 2)
-    weights = [
-        RNG.uniform(0.5, 2, v.counts.shape) * (RNG.uniform(size=v.counts.shape) > 0.2)
-        for v in views
-    ]
+    shape = views.counts.shape
+    weights = RNG.uniform(0.5, 2, shape) * (RNG.uniform(size=shape) > 0.2)
     stiffness = Stiffness(views.grid, np.eye(1), 0.02, 1e-3)
     data = RNG.normal(size=(2, 6, 6))
     kriging = Kriging(views, stiffness, weights)
     found = views.grid.image(kriging.scene(kriging.solve(data, tolerance=1e-8)))
-    right = views.grid.image(
-        views.spread([w * d for w, d in zip(weights, data, strict=True)])
-    )
+    right = views.grid.image(views.spread(weights * data))
     wanted = np.linalg.solve(dense(views, stiffness, weights), right.ravel())
     np.testing.assert_allclose(found.ravel(), wanted, atol=1e-4 * np.abs(wanted).max())
 
 
 def test_the_error_map_is_the_diagonal_of_the_inverse() -> None:
     base, views = small(16, 0)  # all of the torus is seen
-    means = [np.full(view.counts.shape, 1000.0) for view in views]
-    errors = standard_errors(views, base.small((8, 8), 8), np.eye(1), 1e-4, means)
+    means = np.full(views.counts.shape, 1000.0)
+    errors = standard_errors(views, base.small(8), np.eye(1), 1e-4, means)
     rough = 1e-4 / views.grid.samples**2
     stiffness = Stiffness(views.grid, np.eye(1), rough, rough * (2 * np.pi / 16) ** 2)
     inverse = np.linalg.inv(dense(views, stiffness, views.weights(means)))

@@ -291,11 +291,11 @@ def test_an_aperture_other_than_the_sessions_is_refused_unless_forced(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     from labkit.photographs.exif import Exif
-    from labkit.restoration import photographs
+    from labkit.restoration import exposures
 
     image, out = photograph(tmp_path / "a.tif"), tmp_path / "out"
     monkeypatch.setattr(
-        photographs, "read_exif", lambda path: Exif(camera="Other 1", f_number=11.0)
+        exposures, "read_exif", lambda path: Exif(camera="Other 1", f_number=11.0)
     )
     asked = [
         "restore",
