@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from labkit.restoration.job import Area, Job
     from labkit.restoration.restored_photographs import Restoration
+    from labkit.restoration.strength import Choice
     from labkit.types import Floats32
 
 # What a command needs is imported inside it: `labkit --help` and tab completion must not wait for SciPy.
@@ -185,12 +186,14 @@ def _baseline(method: str) -> Callable[[Job], Floats32] | None:
     return partial(baseline, method=method)
 
 
-def _strength(given: str) -> float | Literal["discrepancy", "l-curve"]:
+def _strength(given: str) -> float | Choice:
     """Parse a strength. Raises DataError unless it is a number above 0 or a way to choose one."""
-    if given == "discrepancy":
-        return "discrepancy"
-    if given == "l-curve":
-        return "l-curve"
+    from labkit.experiments.methods.l_curve import L_CURVE
+    from labkit.restoration.strength import DISCREPANCY
+
+    for choice in (DISCREPANCY, L_CURVE):
+        if given == choice.name:
+            return choice
     try:
         value = float(given)
     except ValueError:

@@ -22,6 +22,7 @@ from labkit.imaging.optics import Optics
 from labkit.restoration.colours import colour_coupling
 from labkit.restoration.job import Colour, Exposure, Job
 from labkit.restoration.registration import refined, registered
+from labkit.restoration.strength import DISCREPANCY
 from labkit.restoration.tiles import restore_job
 from labkit.types import Floats
 
@@ -201,7 +202,7 @@ def work(task: Task) -> Answer:
     ways |= {SEVERAL: lambda: made(frames), COLOURS: lambda: made(frames[:1], names="RGB")}
     for name, job in ways.items():
         began = perf_counter()
-        found = restore_job(job(), "discrepancy", FRAME, 0)
+        found = restore_job(job(), DISCREPANCY, FRAME, 0)
         restored[name], seconds[name] = found.scene[0] / WHITE, perf_counter() - began
         if name == OURS:
             apart = np.abs(found.scene[0] / WHITE - truth) / (found.std[0] / WHITE)

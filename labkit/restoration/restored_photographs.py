@@ -25,7 +25,7 @@ from labkit.restoration.job import Area, Colour, Job, begun_at
 from labkit.restoration.lens import nearest, waves_at
 from labkit.restoration.noise import with_own_noise
 from labkit.restoration.registration import refined, registered
-from labkit.restoration.strength import Choice
+from labkit.restoration.strength import DISCREPANCY, Choice
 from labkit.restoration.tile_size import planned_tiles
 from labkit.restoration.tiles import Picture, restore_job
 from labkit.results import Results
@@ -56,7 +56,7 @@ class Wanted:
     sixteen_bit : write a 16-bit TIFF too
     """
 
-    strength: float | Choice = "discrepancy"
+    strength: float | Choice = DISCREPANCY
     channels: tuple[str, ...] = ()
     range_mm: float | None = None
     samples: int | None = None

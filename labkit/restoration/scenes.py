@@ -17,7 +17,7 @@ from labkit.restoration.restored_photographs import (
     restore_images,
     restore_session,
 )
-from labkit.restoration.strength import Choice
+from labkit.restoration.strength import DISCREPANCY, Choice
 from labkit.results import Results
 from labkit.session.session import Session
 from labkit.types import Progress, no_progress
@@ -39,7 +39,7 @@ def restore(
     name: str = "latest",
     range_mm: float | None = None,
     channels: Sequence[str] = (),
-    strength: float | Choice = "discrepancy",
+    strength: float | Choice = DISCREPANCY,
     samples: int | None = None,
     crop: tuple[int, int, int, int] | None = None,
     fit_defocus: bool = False,
@@ -59,7 +59,8 @@ def restore(
     name : name of the session's results
     range_mm : range of the photographs; by default the session's only one
     channels : channels to restore; none for all
-    strength : the regularisation's lambda, "discrepancy", or "l-curve"
+    strength : the regularisation's lambda, or a method to choose it, such as
+        `labkit.experiments.methods.l_curve.L_CURVE`
     samples : samples of the restored scene to a pixel; by default as diffraction requires
     crop : first row, first column, row and column after the last, in raw pixels
     fit_defocus : whether to estimate the photographs' own defocus

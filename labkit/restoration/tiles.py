@@ -118,7 +118,7 @@ def restore_job(
     alone, samples = len(areas) == 1, job.samples
     total = USUAL_STEPS + 1 if alone else len(areas) + 1
     progress(0, total, "choosing how smooth")
-    if isinstance(strength, str):
+    if isinstance(strength, Choice):
         rng, by_hand = np.random.default_rng(SEED), 0.0
         chosen = choose(parts_of(job), job.coupling, strength, rng)
     else:

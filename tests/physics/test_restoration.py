@@ -12,6 +12,7 @@ from labkit.restoration.job import Job
 from labkit.restoration.kriging import Kriging, Stiffness
 from labkit.restoration.roughness import Roughness
 from labkit.restoration.solve import Point
+from labkit.restoration.strength import DISCREPANCY
 from labkit.restoration.tiles import restore_job
 from labkit.restoration.views import Views
 from tests.physics.restoration_samples import WHITE, exposed, job, world
@@ -222,7 +223,7 @@ def test_where_the_penalty_is_weak_truth_lies_within_the_stated_errors(seed: int
     shown = replace(
         base, photographs=(replace(base.photographs[0], counts=exposed(counts, seed)),)
     )
-    picture = restore_job(shown, "discrepancy", 64, 0)
+    picture = restore_job(shown, DISCREPANCY, 64, 0)
     apart = np.abs(picture.scene[0] - scene[0][views.grid.inner]) / picture.std[0]
     weak = picture.by_penalty[0] < 0.5
     assert weak.mean() > 0.5

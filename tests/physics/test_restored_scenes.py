@@ -13,7 +13,7 @@ from labkit.experiments.methods.restoration_baselines import (
     richardson_lucy,
 )
 from labkit.restoration.registration import refined, registered
-from labkit.restoration.strength import choose
+from labkit.restoration.strength import DISCREPANCY, choose
 from labkit.restoration.tiles import Picture, parts_of, restore_job, tiles
 from tests.physics.restoration_samples import FRAME, GAIN, WHITE, exposed, job, world
 
@@ -28,7 +28,7 @@ def rmse(scene: np.ndarray) -> float:
 
 @pytest.fixture(scope="module")
 def one() -> Picture:
-    return restore_job(job(exposed(world().mean())), "discrepancy", FRAME, 0)
+    return restore_job(job(exposed(world().mean())), DISCREPANCY, FRAME, 0)
 
 
 def test_nothing_restored_is_below_nothing(one: Picture) -> None:
@@ -64,7 +64,7 @@ def test_the_discrepancy_finds_nearly_the_best_strength(one: Picture) -> None:
 
 def test_tiles_are_one_picture(one: Picture) -> None:
     taken = job(exposed(world().mean()))
-    parts = restore_job(taken, "discrepancy", 24, 16)
+    parts = restore_job(taken, DISCREPANCY, 24, 16)
     assert parts.tiles == 4
     # in standard errors; 0.05 RMS measured
     apart = (parts.scene - one.scene) / one.std
@@ -116,7 +116,7 @@ def test_four_frames_show_a_tenth_more_than_one(one: Picture) -> None:
         replace(p, motion=np.array([[0, 0, down], [0, 0, right]]))
         for p, (down, right) in zip(taken.photographs, SHIFTS, strict=True)
     ]
-    four = restore_job(replace(taken, photographs=tuple(known)), "discrepancy", FRAME, 0)
+    four = restore_job(replace(taken, photographs=tuple(known)), DISCREPANCY, FRAME, 0)
     assert rmse(four.scene[0]) < 0.9 * rmse(one.scene[0])
 
 
@@ -134,7 +134,7 @@ def test_a_bright_border_that_shifted_frames_show_more_or_less_of_does_not_spoil
     ]
     four, alone = replace(job(*frames), photographs=tuple(shots)), job(frames[0])
     chosen = [
-        choose(parts_of(j), j.coupling, "discrepancy", np.random.default_rng(1))
+        choose(parts_of(j), j.coupling, DISCREPANCY, np.random.default_rng(1))
         for j in (four, alone)
     ]
     assert 0.3 < chosen[0].stiffness / chosen[1].stiffness < 3
@@ -164,6 +164,6 @@ def test_dark_scenes_are_restored_too() -> None:
         + np.random.default_rng(2).normal(0, 1.2, (FRAME, FRAME)),
         3,
     )
-    found = restore_job(job(dark), "discrepancy", FRAME, 0)
+    found = restore_job(job(dark), DISCREPANCY, FRAME, 0)
     assert np.isfinite(found.scene).all()
     assert found.chi2_per_pixel < 1.2
