@@ -29,7 +29,7 @@ LEAST_LINES, LEAST_CHANGE = (
 POOLED = 9  # bins
 MOST_CORRECTION = 10.0  # of the derivative's own response
 ABOUT = 2 * OVERSAMPLING  # bins on either side of the edge, none of which may be empty
-HIGHEST = 2.0  # cycles a sample, up to which curves are given
+HIGHEST_FREQUENCY = 2.0  # cycles a sample, up to which curves are given
 MOST_RISE = 0.2  # of a response beyond the samples' Nyquist frequency; lobes of a defocused lens have 0.13
 MOST_UNSURE = 1 / 3  # of the frequency of a crossing: its standard error
 UNSURE = (
@@ -204,7 +204,9 @@ def _response(samples: Floats, width: int, across_mm: float, slant: float) -> Es
     place: Floats = np.arange(2.0 * half)
     peak = float(np.sum(place * np.abs(line) ** 2) / np.sum(np.abs(line) ** 2))
     line_of = _hamming(place - peak, 2 * half)[:, None] * derivative
-    cycles = np.arange(int(HIGHEST / OVERSAMPLING * 2 * half) + 1) / (2 * half)  # a bin
+    cycles = np.arange(int(HIGHEST_FREQUENCY / OVERSAMPLING * 2 * half) + 1) / (
+        2 * half
+    )  # a bin
     transform = np.exp(-2j * np.pi * np.outer(cycles, place)) @ line_of
     correction = np.minimum(1 / np.maximum(np.sinc(2 * cycles), 1e-9), MOST_CORRECTION)
     spectrum = transform @ mean
@@ -285,7 +287,7 @@ def _fall(frequency: Floats, value: Floats, std: Floats, level: float) -> Uncert
         latest = float(frequency[-1])
     error = max(at.std, (latest - earliest) / 2)
     known = error <= MOST_UNSURE * at.value
-    return Uncertain(at.value, error, at.unit) if known else UNKNOWN
+    return Uncertain(at.value, error, at.unit) if known else UNKNOWN_FREQUENCY
 
 
 def _binned(bins: NDArray[np.int_], values: Floats, count: int) -> tuple[Floats, Floats]:
@@ -306,14 +308,14 @@ def _binned(bins: NDArray[np.int_], values: Floats, count: int) -> tuple[Floats,
     return mean, squares / np.maximum(freedom, 1) / np.maximum(many, 1)
 
 
-UNKNOWN = Uncertain(np.nan, np.nan, "cycles/mm")
+UNKNOWN_FREQUENCY = Uncertain(np.nan, np.nan, "cycles/mm")
 
 
 def crossing(frequency: Floats, value: Floats, std: Floats, level: float) -> Uncertain:
     """Return the frequency at which a curve first falls to a level, by lines between its samples; nan without a fall."""
     below = np.flatnonzero(value < level)
     if below.size == 0 or below[0] == 0:
-        return UNKNOWN
+        return UNKNOWN_FREQUENCY
     k = int(below[0])
     slope = (value[k] - value[k - 1]) / (frequency[k] - frequency[k - 1])
     at = frequency[k - 1] + (level - value[k - 1]) / slope

@@ -11,11 +11,11 @@ from labkit.restoration.job import Job
 from labkit.restoration.tiles import CHOSEN_ON, areas_of
 from labkit.types import Floats, Progress, no_progress
 
-SPAN_WAVES, COARSE = (
+SPAN_WAVES, COARSE_WAVES = (
     1.6,
     0.1,
 )  # of the search, from best focus on; its step, then a quarter of it
-PARTS, LEAST_PARTS, PART_PX = (
+BLIND_PARTS, LEAST_BLIND_PARTS, BLIND_PART_PX = (
     6,
     3,
     32,
@@ -64,8 +64,8 @@ def fitted_defocus(job: Job, progress: Progress = no_progress) -> tuple[Job, Def
             "the session's wavefronts have no mode 4: their defocus cannot be fitted"
         )
     own = float(np.mean(defoci))
-    coarse = np.arange(0, SPAN_WAVES + COARSE / 2, COARSE)
-    fine = np.arange(-0.75, 0.76, 0.25) * COARSE
+    coarse = np.arange(0, SPAN_WAVES + COARSE_WAVES / 2, COARSE_WAVES)
+    fine = np.arange(-0.75, 0.76, 0.25) * COARSE_WAVES
     total = len(coarse) + len(fine)
 
     def scored(places: Floats, done: int) -> Floats:
@@ -98,7 +98,7 @@ def moved(job: Job, by_waves: float) -> Job:
 def _unlikely(job: Job) -> Floats:
     """Return the score of each part (parts,)."""
     coarse = job.of_samples(min(CHOSEN_ON, job.nyquist_samples))
-    views = [coarse.views(area) for area in areas_of(job, PART_PX)[:PARTS]]
+    views = [coarse.views(area) for area in areas_of(job, BLIND_PART_PX)[:BLIND_PARTS]]
     return np.array(
         [unlikeliness(view, job.coupling) for view in views if view is not None]
     )
@@ -111,7 +111,7 @@ def _jackknifed(places: Floats, scores: Floats) -> tuple[float, float]:
     """
     total, count = scores.sum(axis=1), scores.shape[1]
     without = places[np.argmin(total[:, None] - scores, axis=0)]
-    if count < LEAST_PARTS:
+    if count < LEAST_BLIND_PARTS:
         return float(places[np.argmin(total)]), SPAN_WAVES
     spread = (count - 1) * float(np.var(without))
     return float(places[np.argmin(total)]), float(np.hypot(np.sqrt(spread), SCENES))

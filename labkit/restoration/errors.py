@@ -17,7 +17,7 @@ from labkit.restoration.kriging import Kriging, Stiffness
 from labkit.restoration.views import Views
 from labkit.types import AnyFloats, Complexes, Floats, Floats32
 
-LEVELS = 6
+WEIGHT_LEVELS = 6
 FAINTEST = 1e-3  # of the usual weight: less counts as this much
 NEAR_CELLS = 1.0  # standard deviation of the neighbourhood that a sample depends on
 EVEN = 1e-6  # spread of logarithms of weights
@@ -62,7 +62,11 @@ def standard_errors(
     )
     level = np.log(np.maximum(near, FAINTEST))
     even = np.ptp(level) <= EVEN
-    at = np.full(1, level.mean()) if even else np.linspace(level.min(), level.max(), LEVELS)
+    at = (
+        np.full(1, level.mean())
+        if even
+        else np.linspace(level.min(), level.max(), WEIGHT_LEVELS)
+    )
     every = [_even(small, coupling, stiffness, usual * np.exp(one)) for one in at]
     step = views.grid.cells.oversampling
     std, by_penalty = (

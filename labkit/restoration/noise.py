@@ -15,12 +15,12 @@ from scipy.special import chdtri
 from labkit.restoration.job import Colour, Exposure, Job
 from labkit.types import Bools, Floats
 
-STRIDE, SIDE = (
+DIFFERENCE_STRIDE, SQUARE_SIDE = (
     3,
     4,
 )  # counts between differences that share none; differences to a square's side
 QUIET = 0.1  # share of a brightness's squares that show noise alone
-LEVELS, LEAST_SQUARES = 12, 100
+BRIGHTNESSES, LEAST_SQUARES = 12, 100
 LEAST_VARIANCE = 1 / 12  # of rounding
 ROUNDS = 5
 
@@ -41,9 +41,11 @@ def own_noise(
     if level.size < LEAST_SQUARES:
         return None
     order = np.argsort(level)
-    groups = [group for group in np.array_split(order, LEVELS) if level[group].mean() > 0]
+    groups = [
+        group for group in np.array_split(order, BRIGHTNESSES) if level[group].mean() > 0
+    ]
     # quantile of noise alone, over its mean
-    usual = float(chdtri(SIDE**2, 1 - QUIET)) / SIDE**2
+    usual = float(chdtri(SQUARE_SIDE**2, 1 - QUIET)) / SQUARE_SIDE**2
     at = np.array([level[group].mean() for group in groups])
     found = np.array([np.quantile(variance[group], QUIET) for group in groups]) / usual
     gain, floor = _line(at, np.maximum(found, LEAST_VARIANCE))
@@ -53,11 +55,13 @@ def own_noise(
 def _squares(counts: Floats, used: Bools) -> Floats:
     """Return (2, squares) mean level, and variance by second differences along both axes, of one plane."""
     kernel = np.outer((1.0, -2.0, 1.0), (1.0, -2.0, 1.0)) / 6  # of unit noise unit noise
-    rows, columns = (side // (STRIDE * SIDE) * SIDE for side in counts.shape)
-    cells = (rows, STRIDE, columns, STRIDE)
-    cut = (slice(STRIDE * rows), slice(STRIDE * columns))
+    rows, columns = (
+        side // (DIFFERENCE_STRIDE * SQUARE_SIDE) * SQUARE_SIDE for side in counts.shape
+    )
+    cells = (rows, DIFFERENCE_STRIDE, columns, DIFFERENCE_STRIDE)
+    cut = (slice(DIFFERENCE_STRIDE * rows), slice(DIFFERENCE_STRIDE * columns))
     apart = np.einsum("iajb,ab->ij", counts[cut].reshape(cells), kernel)
-    whole = (rows // SIDE, SIDE, columns // SIDE, SIDE)
+    whole = (rows // SQUARE_SIDE, SQUARE_SIDE, columns // SQUARE_SIDE, SQUARE_SIDE)
     level = counts[cut].reshape(cells).mean(axis=(1, 3)).reshape(whole).mean(axis=(1, 3))
     there = np.all(
         np.all(used[cut].reshape(cells), axis=(1, 3)).reshape(whole), axis=(1, 3)

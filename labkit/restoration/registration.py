@@ -21,7 +21,7 @@ MOTION_SAMPLES, MIDDLE_PX = (
     4,
     192,
 )  # samples a pixel, and pixels, that motions are estimated with
-SOFT_PENALTY, LONGEST_PX = 1e-3, 120.0  # of the penalty meanwhile
+SOFT_PENALTY, REGISTERED_LONGEST_PX = 1e-3, 120.0  # of the penalty meanwhile
 USUAL_TURN = 2e-4  # of frames taken one after the other, standard deviation
 MOST_TURN = 0.02  # of a motion that tiles take as shifts: rows and columns that turn or grow by more, a pixel in fifty
 
@@ -100,7 +100,12 @@ def _scene(views: Views, job: Job) -> AnyComplexes:
     rough = SOFT_PENALTY * density / (np.pi / 2) ** 2 / job.samples**2
     kriging = Kriging(
         views,
-        Stiffness(views.grid, job.coupling, rough, rough * (2 * np.pi / LONGEST_PX) ** 2),
+        Stiffness(
+            views.grid,
+            job.coupling,
+            rough,
+            rough * (2 * np.pi / REGISTERED_LONGEST_PX) ** 2,
+        ),
         weights,
     )
     spectra = kriging.scene(kriging.solve(views.counts - means))

@@ -21,7 +21,7 @@ LEAST, MOST = -6.0, 4.0
 """Decades of the stiffness, about that at which the penalty is as stiff as the data are at PER_PX."""
 
 PER_PX = 0.25  # cycles
-EXACT, STRIDE = 0.02, 0.25  # decades
+EXACT, SCORE_STRIDE = 0.02, 0.25  # decades
 LOOSE = 1e-2  # tolerance of equations that serve a trace
 
 
@@ -130,8 +130,8 @@ def _discrepancy(trials: Sequence[Trial], unit: float) -> float:
         squares, left = sums(decade)
         there = float(np.log(squares) - 2 * np.log(max(left, 1e-6 * data)))
         if there >= here:
-            return max(decade - STRIDE, start)
-        decade, here = decade + STRIDE, there
+            return max(decade - SCORE_STRIDE, start)
+        decade, here = decade + SCORE_STRIDE, there
     return decade
 
 

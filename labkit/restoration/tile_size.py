@@ -10,9 +10,9 @@ from labkit.errors import DataError
 from labkit.restoration.job import Job
 from labkit.restoration.tiles import memory_bytes
 
-SIZES_PX = (256, 192, 128, 96, 64)
+TILE_SIDES_PX = (256, 192, 128, 96, 64)
 GB = 1e9
-SHARE, SHARE_OF_ALL = 0.8, 0.5  # of available memory, and of all memory
+SHARE_OF_FREE, SHARE_OF_ALL = 0.8, 0.5  # of available memory, and of all memory
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,8 @@ def planned_tiles(
     """
     free = _free_gigabytes() if memory_gb is None else memory_gb
     largest = max(job.shape)
-    whole = [largest] if largest <= SIZES_PX[0] else []
-    sizes = [*whole, *(size for size in SIZES_PX if size < largest)]
+    whole = [largest] if largest <= TILE_SIDES_PX[0] else []
+    sizes = [*whole, *(size for size in TILE_SIDES_PX if size < largest)]
     best = next((s for s in sizes if TilePlan(job, s).gigabytes <= free), None)
     wanted = TilePlan(job, tile_px or best or sizes[-1])
     if wanted.gigabytes > free:
@@ -80,6 +80,6 @@ def _free_gigabytes() -> float:
     try:
         with open("/proc/meminfo", encoding="ascii") as file:
             available = next(line for line in file if line.startswith("MemAvailable"))
-        return SHARE * float(available.split()[1]) * 1e3 / GB
+        return SHARE_OF_FREE * float(available.split()[1]) * 1e3 / GB
     except (OSError, StopIteration):
         return SHARE_OF_ALL * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / GB

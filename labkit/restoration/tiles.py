@@ -23,10 +23,10 @@ from labkit.restoration.strength import Choice, Strength, choose
 from labkit.restoration.views import Views
 from labkit.types import Bools, Floats, Floats32, Progress, no_progress
 
-COARSE = 2  # samples a pixel, on which the bound's active samples are found first
+COARSE_SAMPLES = 2  # samples a pixel, on which the bound's active samples are found first
 CHOSEN_ON = 4  # samples a pixel, at most, that a strength is chosen on
-PARTS, PART_PX = 3, 96  # that a strength is chosen by
-SEED = 1
+STRENGTH_PARTS, STRENGTH_PART_PX = 3, 96  # that a strength is chosen by
+TRACE_SEED = 1
 BYTES_A_SAMPLE, BYTES_A_PLANE = 130, 12  # of a tile's scene, for each colour and each plane
 LEAST_ROWS, LEAST_CELLS = 96, 24  # of the torus that errors are computed on
 USUAL_STEPS = 6  # of Newton, on both grids together
@@ -119,7 +119,7 @@ def restore_job(
     total = USUAL_STEPS + 1 if alone else len(areas) + 1
     progress(0, total, "choosing how smooth")
     if isinstance(strength, Choice):
-        rng, by_hand = np.random.default_rng(SEED), 0.0
+        rng, by_hand = np.random.default_rng(TRACE_SEED), 0.0
         chosen = choose(parts_of(job), job.coupling, strength, rng)
     else:
         by_hand = strength
@@ -171,8 +171,8 @@ def restore_tile(task: Task, step: Callable[[], None] = lambda: None) -> Part:
     if not there:
         return Part(layers, 0.0, 0, Norm(0.0, means, 0.0), 0.0)
     part, start = job.only(there), None
-    if job.samples > COARSE:
-        views, restored = _restored(part.of_samples(COARSE), task, None, step)
+    if job.samples > COARSE_SAMPLES:
+        views, restored = _restored(part.of_samples(COARSE_SAMPLES), task, None, step)
         start = restored.finer(views.grid, job.samples)
     views, restored = _restored(part, task, start, step)
     # as far as a count's light reaches, and enough that Nyquist's row, which no plane sees, is a small share; odd
@@ -238,9 +238,11 @@ def parts_of(job: Job) -> list[Views]:
     They have samples fine enough for the lens: a scene that a coarser grid cannot hold would pass for noise.
     """
     coarse = job.of_samples(min(CHOSEN_ON, job.nyquist_samples))
-    areas = areas_of(job, PART_PX // job.period * job.period)
-    count = min(PARTS, len(areas))
-    chosen = dict.fromkeys(k * (len(areas) - 1) // (PARTS - 1) for k in range(count))
+    areas = areas_of(job, STRENGTH_PART_PX // job.period * job.period)
+    count = min(STRENGTH_PARTS, len(areas))
+    chosen = dict.fromkeys(
+        k * (len(areas) - 1) // (STRENGTH_PARTS - 1) for k in range(count)
+    )
     views = [coarse.views(areas[k]) for k in chosen]
     if not (found := [view for view in views if view is not None]):
         raise ValueError("no part of the photograph has usable counts of every colour")
