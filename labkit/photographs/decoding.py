@@ -26,10 +26,16 @@ from labkit.plan.sensor import pattern_of
 
 
 def read_photograph(path: Path, sensor: Sensor) -> Photograph:
-    """The mosaic in a file.
+    """Read a photograph.
 
-    sensor: what the file does not state. Raises RawError, naming file and cause, for a file that is missing, truncated,
-    no photograph, or states otherwise than `sensor`.
+    Parameters
+    ----------
+    path : the file
+    sensor : what the file may not state
+
+    Raises
+    ------
+    RawError : the file is missing, truncated or no photograph, or contradicts `sensor`; the message names the file
     """
     try:
         return run_apart(_read, path, sensor)
@@ -38,95 +44,75 @@ def read_photograph(path: Path, sensor: Sensor) -> Photograph:
 
 
 def _read(path: Path, sensor: Sensor) -> Photograph:
-    mosaic = (
-        _read_recognised(path, sensor)
-        if sensor.headerless_px is None
-        else _read_headerless(path, sensor)
-    )
-    _refuse_contradiction(mosaic, sensor)
-    return mosaic
+    if sensor.headerless_px is not None:
+        numbers = _headerless(path, sensor.headerless_px)
+        photograph = _bare(numbers, Container("headerless"), sensor)
+    elif (container := recognise(path)).kind == "raw":
+        # imported here: who reads no raw file loads no LibRaw
+        from labkit.photographs.libraw import read_libraw
+
+        photograph = read_libraw(path, container)
+    elif is_processed(picture := read_file(path), container, sensor):
+        photograph = processed_photograph(path, container, picture, sensor)
+    elif picture.bits in (8, 16):
+        photograph = _bare(picture.numbers, container, sensor)
+    else:
+        raise RawError(f"holds {picture.bits} bit numbers: allowed are 8 and 16 bit")
+    _refuse_contradiction(photograph, sensor)
+    return photograph
 
 
-def _read_recognised(path: Path, sensor: Sensor) -> Photograph:
-    container = recognise(path)
-    if container.kind != "raw":
-        return _read_numbers(path, container, sensor)
-    from labkit.photographs.libraw import (
-        read_libraw,  # who reads no raw file loads no LibRaw
-    )
-
-    return read_libraw(path, container)
-
-
-def _read_headerless(path: Path, sensor: Sensor) -> Photograph:
-    """A file of bare 16-bit numbers, the lower byte first, row by row: nothing in it says what it is, so the plan must."""
-    assert sensor.headerless_px is not None
-    (rows, cols), size = (
-        sensor.headerless_px,
-        path.stat().st_size if path.is_file() else None,
-    )
+def _headerless(path: Path, shape: tuple[int, int]) -> Numbers:
+    """Read bare 16-bit numbers, the lower byte first, row by row."""
+    size = path.stat().st_size if path.is_file() else None
+    rows, cols = shape
     if size != 2 * rows * cols:
         have = "there is no such file" if size is None else f"it has {size}"
         raise RawError(
             f"{rows} × {cols} numbers of 16 bit (sensor.headerless_px) are {2 * rows * cols} bytes: {have}"
         )
-    return _bare_mosaic(
-        np.fromfile(path, dtype="<u2").reshape(rows, cols), Container("headerless"), sensor
-    )
+    return np.fromfile(path, dtype="<u2").reshape(shape)
 
 
-def _read_numbers(path: Path, container: Container, sensor: Sensor) -> Photograph:
-    picture = read_file(path)
-    if is_processed(picture, container, sensor):
-        return processed_photograph(path, container, picture, sensor)
-    if picture.bits not in (8, 16):
-        raise RawError(f"holds {picture.bits} bit numbers: allowed are 8 and 16 bit")
-    return _bare_mosaic(picture.numbers, container, sensor)
-
-
-def _bare_mosaic(counts: Numbers, container: Container, sensor: Sensor) -> Photograph:
-    """Of numbers, with what the plan states of them. Raises RawError where it does not."""
+def _bare(counts: Numbers, container: Container, sensor: Sensor) -> Photograph:
+    """Return the photograph of bare numbers. Raises RawError for properties that the plan must state."""
+    pattern, black, white = sensor.cfa_pattern, sensor.black_level, sensor.white_level
     needed = {
-        "cfa_pattern": '"RGGB" or "mono"',
-        "black_level": "the count of no light",
-        "white_level": "the count of saturation",
+        'cfa_pattern ("RGGB" or "mono")': pattern,
+        "black_level (the count of no light)": black,
+        "white_level (the count of saturation)": white,
     }
-    if missing := [
-        f"{key} ({words})" for key, words in needed.items() if getattr(sensor, key) is None
-    ]:
+    missing = [words for words, value in needed.items() if value is None]
+    if pattern is None or black is None or white is None:
         raise RawError(
             f"a {container.kind.upper()} file does not state these; add to [sensor]: {', '.join(missing)}"
         )
-    assert sensor.cfa_pattern is not None
-    assert sensor.black_level is not None
-    assert sensor.white_level is not None
-    full_scale = np.iinfo(counts.dtype).max
-    if sensor.white_level > full_scale:
+    if white > (full_scale := np.iinfo(counts.dtype).max):
         raise RawError(
-            f"holds numbers up to {full_scale}, but sensor.white_level = {sensor.white_level:g} in the plan"
+            f"holds numbers up to {full_scale}, but sensor.white_level = {white:g} in the plan"
         )
     return Photograph(
-        counts=counts.astype(np.uint16),
-        black=np.full((2, 2), sensor.black_level),
-        white=sensor.white_level,
-        pattern=pattern_of(sensor.cfa_pattern),
-        camera=container.camera,
-        exposure_s=container.exposure_s,
-        iso=container.iso,
+        counts.astype(np.uint16),
+        np.full((2, 2), black),
+        white,
+        pattern_of(pattern),
+        container.camera,
+        container.exposure_s,
+        container.iso,
     )
 
 
-def _refuse_contradiction(mosaic: Photograph, sensor: Sensor) -> None:
-    """Raise RawError where the file and the plan both state something, and not the same."""
+def _refuse_contradiction(photograph: Photograph, sensor: Sensor) -> None:
+    """Raise RawError where file and plan both state a property, and differ."""
     file = {
-        "cfa_pattern": {mosaic.cfa},
-        "black_level": {*mosaic.black.ravel()},
-        "white_level": {mosaic.white},
+        "cfa_pattern": {photograph.cfa},
+        "black_level": {*photograph.black.ravel()},
+        "white_level": {photograph.white},
     }
     wrong = [
-        f"sensor.{key} = {getattr(sensor, key)} but the file has {', '.join(str(value) for value in sorted(values))}"
+        f"sensor.{key} = {stated} but the file has {', '.join(map(str, sorted(values)))}"
         for key, values in file.items()
-        if getattr(sensor, key) is not None and values != {getattr(sensor, key)}
+        if (stated := getattr(sensor, key)) is not None and values != {stated}
     ]
     if wrong:
         raise RawError(

@@ -1,4 +1,4 @@
-"""Whether a photograph belongs to a session and can be used at all: same sensor, neither overexposed nor black."""
+"""Checks of a photograph: whether it is of a session's sensor, and neither overexposed nor black."""
 
 from __future__ import annotations
 
@@ -35,39 +35,39 @@ MOST_NOISE_TILES, LEAST_NOISE_TILE_PX = 16, 16
 """Noise is looked for in up to 16 x 16 tiles, none smaller than this: a target need not fill all of them."""
 
 
-def difference(mosaic: Photograph, first: Photograph) -> str | None:
-    """How a photograph's sensor differs from that of the first one of its session; None if it does not."""
-    size, first_size = ("×".join(map(str, m.shape)) for m in (mosaic, first))
-    tone, first_tone = ("none" if m.tone is None else m.tone.name for m in (mosaic, first))
-    for what, this, that in (
-        ("camera", mosaic.camera or "unknown", first.camera or "unknown"),
-        ("size", size, first_size),
-        ("filter array", mosaic.cfa, first.cfa),
-        ("white level", f"{mosaic.white:g}", f"{first.white:g}"),
-        ("tone curve", tone, first_tone),
-    ):
-        if this != that:
-            return f"is of another {what} than the first photograph: {this}, not {that}"
+def difference(photograph: Photograph, first: Photograph) -> str | None:
+    """Return how a photograph's sensor differs from that of its session's first one; None if it does not."""
+    this, that = (
+        {
+            "camera": of.camera or "unknown",
+            "size": "×".join(map(str, of.shape)),
+            "filter array": of.cfa,
+            "white level": f"{of.white:g}",
+            "tone curve": "none" if of.tone is None else of.tone.name,
+        }
+        for of in (photograph, first)
+    )
+    for what in this:
+        if this[what] != that[what]:
+            return f"is of another {what} than the first photograph: {this[what]}, not {that[what]}"
     return None
 
 
 def exposure_problem(
-    mosaic: Photograph, kind: FrameKind, channels: Iterable[str]
+    photograph: Photograph, kind: FrameKind, channels: Iterable[str]
 ) -> str | None:
-    """Why a frame of that kind cannot be used, or None. Raises RawError for a channel that it lacks."""
+    """Return why a frame of a kind cannot be used, or None. Raises RawError for a channel that it lacks."""
     for name in channels:
-        for plane in mosaic.planes(name):
-            if problem := _plane_problem(mosaic, kind, plane):
-                return problem if mosaic.cfa == "mono" else f"{problem}, in channel {name}"
+        for plane in photograph.planes(name):
+            if problem := _plane_problem(photograph, kind, plane):
+                mono = photograph.cfa == "mono"
+                return problem if mono else f"{problem}, in channel {name}"
     return None
 
 
-def _plane_problem(mosaic: Photograph, kind: FrameKind, where: Cut) -> str | None:
-    plane, black, white = (
-        np.ascontiguousarray(mosaic.counts[where]),
-        mosaic.black_of(where),
-        mosaic.white,
-    )
+def _plane_problem(photograph: Photograph, kind: FrameKind, where: Cut) -> str | None:
+    plane = np.ascontiguousarray(photograph.counts[where])
+    black, white = photograph.black_of(where), photograph.white
     if kind in ("dark", "bias"):
         lit = float(np.median(plane)) - black > DARK_SHARE * (white - black)
         return f"has seen light: it is no {kind} frame" if lit else None
@@ -88,16 +88,16 @@ def _plane_problem(mosaic: Photograph, kind: FrameKind, where: Cut) -> str | Non
 
 
 def pixel_noise(plane: Counts) -> float:
-    """Standard deviation of one pixel's noise where the picture is smoothest; never below that of rounding."""
+    """Return the standard deviation of one pixel's noise where the picture is smoothest, at least that of rounding."""
     differences = np.abs(np.diff(plane.astype(np.float64), axis=1))
     smoothest = np.quantile([np.median(tile) for tile in _tiles(differences)], 0.1)
     return float(max(smoothest / 0.6745 / np.sqrt(2), ROUNDING_STD))
 
 
 def aperiodic_noise(plane: Counts) -> float:
-    """The same of a picture with a pattern that repeats, such as a panel's own pixels.
+    """Return the noise of a picture with a pattern that repeats, such as a panel's own pixels.
 
-    A pattern stands in few places of a tile's spectrum, noise in all alike: a quarter of its squares are below 0.288 of their
+    A pattern is in few places of a tile's spectrum, noise in all alike: a quarter of its squares are below 0.288 of their
     mean. Within a tenth for flats, too large where a picture has structure of all sizes.
     """
     levels = []

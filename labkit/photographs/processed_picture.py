@@ -6,13 +6,12 @@ part of the point spread that is measured then, and the results say so.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from labkit.errors import InputError, RawError
-from labkit.findings import Finding, found
+from labkit.findings import found
 from labkit.photographs.container import Container
 from labkit.photographs.encoding import read_encoding, srgb
 from labkit.photographs.photograph import Photograph
@@ -52,53 +51,50 @@ def processed_photograph(
 ) -> Photograph:
     """Return a processed picture in counts that are proportional to light.
 
-    Raises RawError where the plan declares it raw, where nothing says what its tone curve is, or for a profile that
-    cannot be used.
+    Raises RawError if the plan declares it raw, if nothing states its tone curve, or for an unusable profile.
     """
     in_colours = picture.numbers.ndim == 3
-    _refuse_raw(container, in_colours, sensor)
+    kind, jpeg = container.kind.upper(), container.kind == "jpeg"
+    if sensor.cfa_pattern not in (None, "RGB" if in_colours else "mono"):
+        colours = "" if jpeg else " in colours" if in_colours else " without colours"
+        raise RawError(
+            f'is a {kind}{colours}, but the plan\'s sensor.cfa_pattern = "{sensor.cfa_pattern}" declares raw numbers: '
+            f"give the raw file, or leave out cfa_pattern, black_level and white_level"
+        )
     try:
         curve = _curve(path, container, picture, sensor)
     except InputError as error:
         raise RawError(str(error)) from error
-    numbers = picture.numbers if curve is None else curve.linear(picture.numbers)
-    black, white = 0.0, FULL_COUNTS
+    numbers, black, white = picture.numbers, 0.0, FULL_COUNTS
+    undone = "taken as linear, as the plan states"
     if curve is None:
         black = sensor.black_level or 0.0
         white = sensor.white_level or float(picture.white)
+    else:
+        numbers, undone = curve.linear(numbers), f"tone curve undone by {curve.name}"
+    notes = [
+        found("picture-processed", file_format=kind, bits=picture.bits, tone_curve=undone)
+    ]
+    if picture.coarse_colours:
+        notes.append(found("colours-at-half-resolution"))
     return Photograph(
-        counts=numbers.astype(np.uint16).reshape(numbers.shape[0], -1),
-        black=np.full((1, 3) if in_colours else (2, 2), black),
-        white=white,
-        pattern=IN_COLOURS if in_colours else MONO,
-        camera=container.camera,
-        exposure_s=container.exposure_s,
-        iso=container.iso,
-        tone=curve,
-        notes=tuple(_notes(container, picture, curve)),
-        compressed=container.kind == "jpeg",
-    )
-
-
-def _refuse_raw(container: Container, in_colours: bool, sensor: Sensor) -> None:
-    fitting = "RGB" if in_colours else "mono"
-    if sensor.cfa_pattern in (None, fitting):
-        return
-    what = (
-        "a JPEG"
-        if container.kind == "jpeg"
-        else f"a {container.kind.upper()} {'in' if in_colours else 'without'} colours"
-    )
-    raise RawError(
-        f'is {what}, but the plan\'s sensor.cfa_pattern = "{sensor.cfa_pattern}" declares raw numbers: give the raw file, or '
-        f"leave out cfa_pattern, black_level and white_level"
+        numbers.astype(np.uint16).reshape(numbers.shape[0], -1),
+        np.full((1, 3) if in_colours else (2, 2), black),
+        white,
+        IN_COLOURS if in_colours else MONO,
+        container.camera,
+        container.exposure_s,
+        container.iso,
+        curve,
+        tuple(notes),
+        jpeg,
     )
 
 
 def _curve(
     path: Path, container: Container, picture: Picture, sensor: Sensor
 ) -> ToneCurve | None:
-    """What is to be undone; None for numbers that are linear."""
+    """Return the tone curve to undo; None for linear numbers."""
     if sensor.tone_curve == "linear":
         return None
     if sensor.tone_curve == "sRGB":
@@ -123,22 +119,3 @@ def _curve(
             "has an ICC profile of other colours than its own: give sensor.tone_curve"
         )
     return curve
-
-
-def _notes(
-    container: Container, picture: Picture, curve: ToneCurve | None
-) -> Iterator[Finding]:
-    """What to know of how the numbers came about."""
-    undone = (
-        "taken as linear, as the plan states"
-        if curve is None
-        else f"tone curve undone by {curve.name}"
-    )
-    yield found(
-        "picture-processed",
-        file_format=container.kind.upper(),
-        bits=picture.bits,
-        tone_curve=undone,
-    )
-    if picture.coarse_colours:
-        yield found("colours-at-half-resolution")
