@@ -121,7 +121,8 @@ class _Process:
             raise EOFError from None
         (length,) = LENGTH.unpack(self._received(LENGTH.size, deadline).data)
         answer = json.loads(bytes(self._received(length, deadline)))
-        arrays, at = {}, 0
+        arrays = {}
+        at = 0
         for name, dtype, shape in answer.pop("arrays", ()):
             if not NUMBER_TYPES.fullmatch(dtype):
                 raise EOFError
@@ -173,7 +174,8 @@ class _Process:
             count = os.preadv(self._memory.fileno(), [view], at)
             if not count:
                 raise EOFError
-            view, at = view[count:], at + count
+            view = view[count:]
+            at = at + count
         return buffer
 
 
@@ -213,7 +215,8 @@ def _ask(request: bytes) -> tuple[dict[str, Any], Arrays]:
 
 def _raise(answer: dict[str, Any]) -> NoReturn:
     """Raise the error that an answer reports."""
-    name, text = str(answer["failed"]), str(answer["text"])
+    name = str(answer["failed"])
+    text = str(answer["text"])
     if name == OSError.__name__:
         raise OSError(int(answer["errno"]), text)
     raise SHARED_ERRORS.get(name, InputError)(text)
@@ -285,7 +288,8 @@ def _answer(request: bytes, memory: int) -> bytes:
         view = array.reshape(-1).view(np.uint8).data
         while len(view):
             count = os.pwrite(memory, view, at)
-            view, at = view[count:], at + count
+            view = view[count:]
+            at = at + count
     head = json.dumps(answer).encode()
     return LENGTH.pack(len(head)) + head
 

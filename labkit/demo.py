@@ -205,10 +205,8 @@ def run_demo(
         (bench,) = context.shared.values()
     with progress("fitting") as report:
         results = fit(folder, progress=report)
-    compared, wavefronts = (
-        compare(results, bench.truth),
-        compare_wavefronts(results, bench.truth),
-    )
+    compared = compare(results, bench.truth)
+    wavefronts = compare_wavefronts(results, bench.truth)
     with progress("reporting") as report:
         made = write_report(results, progress=report)
     return Comparison(tuple(compared), tuple(wavefronts), made)
@@ -231,7 +229,9 @@ def compare(results: Results, truth: Any) -> Iterator[Compared]:
             "pupil magnification", "", truth.pupil_magnification, mp.value, mp.std
         )
     if lens := results.lens:
-        f, n, zero = lens.focal_length, lens.f_number, lens.range_zero
+        f = lens.focal_length
+        n = lens.f_number
+        zero = lens.range_zero
         yield Compared("focal length", "mm", truth.focal_length_mm, f.value, f.std)
         yield Compared("f-number at infinity", "", truth.f_number, n.value, n.std)
         yield Compared(
@@ -255,7 +255,8 @@ def compare_wavefronts(results: Results, truth: Any) -> Iterator[ComparedWavefro
                 4: visits[w.range_mm].defocus_waves[w.channel],
             }
             true = tuple(modes.get(j, 0.0) for j in w.noll)
-            estimate, std = tuple(map(float, w.waves)), tuple(map(float, w.std))
+            estimate = tuple(map(float, w.waves))
+            std = tuple(map(float, w.std))
             yield ComparedWavefront(w.channel, w.range_mm, w.noll, true, estimate, std)
 
 
@@ -293,7 +294,8 @@ def _on_the_path() -> str:
 
 def new_folder(base: Path) -> Path:
     """Return `base` or the first of base-2, base-3, … that does not exist."""
-    number, folder = 1, base
+    number = 1
+    folder = base
     while folder.exists():
         number += 1
         folder = base.with_name(f"{base.name}-{number}")

@@ -237,7 +237,9 @@ class Workers:
         self, futures: Mapping[Future[Result], int], stored: Mapping[int, Path]
     ) -> Iterator[Future[Result]]:
         """Yield futures as they end; pass on meanwhile what their processes say."""
-        left, said, heard = set(futures), dict[int, str](), self._heard
+        left = set(futures)
+        said = dict[int, str]()
+        heard = self._heard
         while left:
             done, left = first_done(
                 left, None if heard is None else HEARD_EVERY_S, FIRST_COMPLETED

@@ -14,10 +14,13 @@ from matplotlib.figure import Figure
 from labkit.types import Floats
 
 WIDTH_IN = 9.0  # of the page; panels stand side by side on a desktop and on paper, one above the other on a telephone
-HALF_IN, THIRD_IN = WIDTH_IN / 2, WIDTH_IN / 3
+HALF_IN = WIDTH_IN / 2
+THIRD_IN = WIDTH_IN / 3
 DPI = 200
 INK, SOFT_INK, FAINT = "#1c1e21", "#6b7075", "#d5d8db"
-SOLID, DASHED, DOTTED = "-", (0, (4, 2)), (0, (1, 1.5))
+SOLID = "-"
+DASHED = (0, (4, 2))
+DOTTED = (0, (1, 1.5))
 LINE_OF: dict[str, Any] = {"x": SOLID, "y": DASHED}  # of a direction on the sensor
 
 STYLE: dict[str, Any] = {

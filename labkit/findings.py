@@ -90,7 +90,8 @@ class Finding:
         KeyError, TypeError, ValueError
             `entry` is not a finding.
         """
-        where, text = entry["where"], str(entry["text"])
+        where = entry["where"]
+        text = str(entry["text"])
         key = None if where["channel"] is None else Key.from_json(where)
         return cls(str(entry["code"]), key, dict(entry["numbers"]), text, text in warnings)
 

@@ -60,7 +60,8 @@ class Key:
     @classmethod
     def from_json(cls, entry: Mapping[str, Any]) -> Key:
         """Read a key written by `as_json`. Raises KeyError, TypeError or ValueError for any other entry."""
-        range_mm, tile = entry["range_mm"], entry.get("tile")
+        range_mm = entry["range_mm"]
+        tile = entry.get("tile")
         if tile is not None:
             row, column = tile
             tile = int(row), int(column)

@@ -31,7 +31,8 @@ class Pace:
             self._ends = []
         if not self._ends or done > self.done:
             self._ends.append((now_s - self._held_s, done))
-        self.done, self.total = done, total
+        self.done = done
+        self.total = total
 
     def hold(self, now_s: float) -> None:
         """Stop the count of time."""
@@ -56,7 +57,8 @@ class Pace:
         takes longer than predicted. A step is expected to take the mean time. The time left
         of a longer step falls by exp(-t), so that the sum falls all the time.
         """
-        first, latest = self._ends[:1], self._ends[-1:]
+        first = self._ends[:1]
+        latest = self._ends[-1:]
         if self.on_hold or first == latest or self.done >= self.total:
             return None
         ((latest_s, done),) = latest
@@ -108,7 +110,8 @@ class Work:
     def times(self) -> str:
         """Return the elapsed time and the time left, in words that keep the two apart."""
         now_s = time.monotonic()
-        so_far, left_s = f"{in_words(now_s - self.began_s)} so far", self.pace.left_s(now_s)
+        so_far = f"{in_words(now_s - self.began_s)} so far"
+        left_s = self.pace.left_s(now_s)
         if left_s is not None:
             return f"{so_far}, about {in_words(left_s)} left"
         if self.pace.on_hold or self.pace.done >= self.pace.total > 0:

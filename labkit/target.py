@@ -145,10 +145,8 @@ class CellTarget:
         """
         if not (np.isfinite(bandwidth_per_mm) and bandwidth_per_mm > 0):
             raise ValueError(f"bandwidth {bandwidth_per_mm} cycles/mm: it must be above 0")
-        y_mm, x_mm = (
-            real_array("y_mm", y_mm, (None,), "mm"),
-            real_array("x_mm", x_mm, (None,), "mm"),
-        )
+        y_mm = real_array("y_mm", y_mm, (None,), "mm")
+        x_mm = real_array("x_mm", x_mm, (None,), "mm")
         around = self.surround or 0.0
         by = _blurred_cells(
             y_mm, self.size_mm[0], self._row_of, self._core.shape[0], bandwidth_per_mm

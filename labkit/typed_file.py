@@ -77,7 +77,8 @@ def taken_apart(value: Any, kind: Any, arrays: Arrays) -> JSON:
     if _is_json(kind):
         return typing.cast("JSON", value)
     kind, may_lack = _without_none(kind)
-    origin, inner = typing.get_origin(kind) or kind, typing.get_args(kind)
+    origin = typing.get_origin(kind) or kind
+    inner = typing.get_args(kind)
     if value is None and may_lack:
         return None
     if origin is typing.Literal:
@@ -107,7 +108,8 @@ def put_together(tree: Any, kind: Any, arrays: Arrays) -> Any:
     if _is_json(kind):
         return tree
     kind, may_lack = _without_none(kind)
-    origin, inner = typing.get_origin(kind) or kind, typing.get_args(kind)
+    origin = typing.get_origin(kind) or kind
+    inner = typing.get_args(kind)
     if tree is None and may_lack:
         return None
     if origin is typing.Literal:

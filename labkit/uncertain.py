@@ -119,7 +119,8 @@ class Uncertain:
             if SMALL <= largest < LARGE or largest == 0
             else math.floor(math.log10(largest))
         )
-        value, std = self.value / 10.0**exponent, self.std / 10.0**exponent
+        value = self.value / 10.0**exponent
+        std = self.std / 10.0**exponent
         sign = "±" if self.sign_open else ""
         value = abs(value) if self.sign_open else value
         if not known:

@@ -68,7 +68,8 @@ class Disks:
 
         radius = self.diameter_mm / 2
         angle, weight = _gauss(math.ceil(math.pi * radius * bandwidth_per_mm) + 1)
-        half_chord, down = radius * np.cos(angle), radius * np.sin(angle)
+        half_chord = radius * np.cos(angle)
+        down = radius * np.sin(angle)
         (rows, cols), kernel = self._middles(), step.derivative()
         chords = np.zeros((angle.size, x.size))
         for middle in cols:

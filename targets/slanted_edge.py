@@ -68,7 +68,8 @@ class SlantedEdge:
             real_array("y_mm", y_mm, (None,), "mm"),
             real_array("x_mm", x_mm, (None,), "mm"),
         )
-        half, around = self.side_mm / 2, self.surround or 0.0
+        half = self.side_mm / 2
+        around = self.surround or 0.0
         reach, step = low_pass()
 
         def passed(mm: Floats) -> Floats:

@@ -80,7 +80,8 @@ class Link:
 
     def kill(self) -> None:
         """Kill the process, whatever it does."""
-        process, self._process = self._process, None
+        process = self._process
+        self._process = None
         if self._channel is not None:
             self._channel.close()
             self._channel = None

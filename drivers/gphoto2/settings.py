@@ -17,12 +17,11 @@ from labkit.errors import CameraError
 Body = Mapping[str, Setting]
 Choice = str | int | float
 
-SHUTTERS, ISOS, APERTURES = (
-    ("shutterspeed2", "shutterspeed"),
-    ("iso",),
-    ("f-number", "aperture"),
-)
-FORMAT_NAMES, STORAGE_NAMES = ("imagequality", "imageformat"), ("capturetarget",)
+SHUTTERS = ("shutterspeed2", "shutterspeed")
+ISOS = ("iso",)
+APERTURES = ("f-number", "aperture")
+FORMAT_NAMES = ("imagequality", "imageformat")
+STORAGE_NAMES = ("capturetarget",)
 
 SAME_CHOICE = 0.02
 """A choice this near to what was asked is it: bodies round 1/60 s to 0.0167."""

@@ -20,7 +20,8 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-REFUSED, IN_PROGRESS = -1, -110
+REFUSED = -1
+IN_PROGRESS = -110
 
 BUSY_PAUSES_S = (0.1, 0.3, 1.0, 3.0)
 """How long to look at events before a call that met "I/O in progress" is made again."""
@@ -83,7 +84,8 @@ class Worker:
     def open(self, model: str, port: str) -> str:
         """Open a camera; the library's version."""
         self.close()
-        ports, models = self._gp.PortInfoList(), self._gp.CameraAbilitiesList()
+        ports = self._gp.PortInfoList()
+        models = self._gp.CameraAbilitiesList()
         ports.load()
         models.load()
         camera = self._gp.Camera()
@@ -134,7 +136,8 @@ class Worker:
         here.
         """
         strays = self._drain(keep)
-        camera, gp = self._camera, self._gp
+        camera = self._camera
+        gp = self._gp
         if bulb:
             self._hold(*bulb)
         elif camera.get_abilities().operations & gp.GP_OPERATION_TRIGGER_CAPTURE:
@@ -151,7 +154,8 @@ class Worker:
 
     def storage(self) -> list[dict[str, Any]]:
         """Return free space of each store, in images and kilobytes, if the body reports it."""
-        gp, stores = self._gp, self._patiently(self._camera.get_storageinfo)
+        gp = self._gp
+        stores = self._patiently(self._camera.get_storageinfo)
         return [
             {
                 "images": store.freeimages
@@ -178,7 +182,8 @@ class Worker:
 
     def close(self) -> None:
         """Let the camera go."""
-        camera, self._camera = self._camera, None
+        camera = self._camera
+        self._camera = None
         self._added.clear()
         if camera is not None:
             camera.exit()
@@ -200,7 +205,8 @@ class Worker:
             yield from self._leaves(widget.get_child(i))
 
     def _choices(self, widget: Any) -> list[Any]:
-        gp, kind = self._gp, widget.get_type()
+        gp = self._gp
+        kind = widget.get_type()
         if kind in (gp.GP_WIDGET_RADIO, gp.GP_WIDGET_MENU):
             return [widget.get_choice(i) for i in range(widget.count_choices())]
         return [0, 1] if kind == gp.GP_WIDGET_TOGGLE else []

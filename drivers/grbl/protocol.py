@@ -40,9 +40,19 @@ ERROR_WORDS = {
 }
 """Errors that a rail may meet, by GRBL's documentation."""
 
-IDLE_DELAY, REPORTS, INCHES, SOFT_LIMITS, HARD_LIMITS = 1, 10, 13, 20, 21
-MAX_TRAVEL, MAX_RATE, ACCELERATION = 130, 110, 120
-HOMING_SETTING, HOMING_DIRECTION, LOCATE_RATE, SEEK_RATE, PULL_OFF = 22, 23, 24, 25, 27
+IDLE_DELAY = 1
+REPORTS = 10
+INCHES = 13
+SOFT_LIMITS = 20
+HARD_LIMITS = 21
+MAX_TRAVEL = 130
+MAX_RATE = 110
+ACCELERATION = 120
+HOMING_SETTING = 22
+HOMING_DIRECTION = 23
+LOCATE_RATE = 24
+SEEK_RATE = 25
+PULL_OFF = 27
 NEEDED_SETTINGS = (
     REPORTS,
     INCHES,
@@ -133,7 +143,8 @@ def travel(settings: Mapping[int, float], is_hal: bool, options: str) -> Travel:
     settings: by number; options: the letters of [OPT:...]. GRBL's machine space is negative, unless zero is set where
     the machine is homed.
     """
-    whole_mm, margin_mm = settings[MAX_TRAVEL], settings[PULL_OFF]
+    whole_mm = settings[MAX_TRAVEL]
+    margin_mm = settings[PULL_OFF]
     at_home = (
         int(settings[HOMING_SETTING]) & HAL_ORIGIN_AT_HOME if is_hal else "Z" in options
     )

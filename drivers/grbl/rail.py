@@ -31,7 +31,9 @@ BANNER_QUIET_S = 0.1
 
 REPORT_POLL_S = 0.1
 
-RESET_BYTE, HOLD_BYTE, ASK_BYTE = b"\x18", b"!", b"?"
+RESET_BYTE = b"\x18"
+HOLD_BYTE = b"!"
+ASK_BYTE = b"?"
 STOPPED = ("Hold", "Door", "Sleep")
 STANDING = ("Idle", "Hold:0", "Alarm", "Sleep")
 """States in which nothing moves; Hold:1 is still braking."""

@@ -140,7 +140,8 @@ class Bench:
             raise ValueError(
                 f"a picture of {height} × {width} pixels is larger than the panel, {rows} × {cols}"
             )
-        top, left = (rows - height) // 2, (cols - width) // 2
+        top = (rows - height) // 2
+        left = (cols - width) // 2
         self._codes = np.zeros((rows, cols), dtype=np.int16)
         self._codes[top : top + height, left : left + width] = picture
 
@@ -166,11 +167,9 @@ class Bench:
     @property
     def truth(self) -> Truth:
         """The truth of this bench and of its photographed stations."""
-        lens, sensor, tape_error_mm = (
-            self.settings.lens,
-            self.settings.sensor,
-            self.settings.rail.tape_error_mm,
-        )
+        lens = self.settings.lens
+        sensor = self.settings.sensor
+        tape_error_mm = self.settings.rail.tape_error_mm
         return Truth(
             seed=self.settings.seed,
             best_focus_mm={
@@ -201,7 +200,9 @@ class Bench:
 
     def _draw(self) -> None:
         """Draw the constant properties of the bench."""
-        lens, sensor, pose = self.settings.lens, self.settings.sensor, self.settings.pose
+        lens = self.settings.lens
+        sensor = self.settings.sensor
+        pose = self.settings.pose
         rng = self._generator("fixed")
         self._modes = drawn_modes(lens, rng, self._generator("higher modes"))
         self._tilt_deg = (
@@ -297,8 +298,10 @@ class Bench:
         """Return the (3, 3) map from panel mm to pixels by the true pose here: perspective from the entrance
         pupil.
         """
-        lens, sensor = self.settings.lens, self.settings.sensor
-        focal_mm, pupils = lens.focal_length_mm, lens.pupil_magnification
+        lens = self.settings.lens
+        sensor = self.settings.sensor
+        focal_mm = lens.focal_length_mm
+        pupils = lens.pupil_magnification
         tangent_px = (
             lateral
             * image_per_tangent_mm(lens.focused_mm, focal_mm, pupils)
@@ -316,7 +319,8 @@ class Bench:
         return np.asarray(np.linalg.inv(self._to_pixels()), dtype=np.float64)
 
     def _grid(self, samples: int | None, halo_um: float | None) -> FineGrid:
-        lens, sensor = self.settings.lens, self.settings.sensor
+        lens = self.settings.lens
+        sensor = self.settings.sensor
         nyquist_um = lens.shortest_nm * 1e-3 * lens.outer_f_number / 2
         per_pixel = samples or max(
             self.settings.samples_per_pixel,
@@ -393,16 +397,19 @@ class Bench:
         sensor = self.settings.sensor
         if max(sensor.rows, sensor.cols) > MOST_AT_ONCE:
             return self._mosaic_in_tiles()
-        colours, scenes = self._colours(), dict[tuple[float, Lit | None], SceneTransform]()
+        colours = self._colours()
+        scenes = dict[tuple[float, Lit | None], SceneTransform]()
         seen = np.zeros(colours.shape, dtype=np.float32)
         for colour in np.unique(colours):
-            here, look = colours == colour, self._look(str(colour))
+            here = colours == colour
+            look = self._look(str(colour))
             scene = scenes[look] = scenes.get(look) or self._scene(*look)
             seen[here] = self._photograph(str(colour), scene)[here]
         return seen
 
     def _mosaic_in_tiles(self) -> Floats32:
-        colours, grid = self._colours(), self._grid(None, None)
+        colours = self._colours()
+        grid = self._grid(None, None)
         spreads = {}
         for colour in np.unique(colours):
             psf, halo = psf_and_halo(

@@ -27,7 +27,12 @@ EXIF_TAG = 34665
 KEPT_FOR_EXIF = EXIF_TAG - 1
 """tifffile writes no Exif entry: this one is written in its place, and becomes it."""
 
-BYTE, ASCII, SHORT_TYPE, LONG, RATIONAL, SRATIONAL = 1, 2, 3, 4, 5, 10
+BYTE = 1
+ASCII = 2
+SHORT_TYPE = 3
+LONG = 4
+RATIONAL = 5
+SRATIONAL = 10
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,7 +32,8 @@ def _random_modes(
     lens: TrueLens, noll: Sequence[int], waves_rms: float, rng: np.random.Generator
 ) -> Modes:
     """Return modes of an RMS in every colour, largely common to all colours."""
-    shared, modes = rng.normal(size=len(noll)), Modes()
+    shared = rng.normal(size=len(noll))
+    modes = Modes()
     for colour in lens.wavelength_nm:
         own = shared + lens.colour_share * rng.normal(size=shared.size)
         amounts = own * waves_rms / np.linalg.norm(own)

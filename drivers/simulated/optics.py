@@ -219,7 +219,8 @@ def halo_beyond(
     the f-number is known from the initial fall of contrast with frequency: without the
     light beyond 350 um its estimate is 0.5 % too small.
     """
-    airy_um, pitch_um = wavelength_nm * 1e-3 * f_number, samples * spacing_um
+    airy_um = wavelength_nm * 1e-3 * f_number
+    pitch_um = samples * spacing_um
     y, x = np.meshgrid(*2 * [np.arange(-pixels, pixels + 1) * pitch_um], indexing="ij")
     rings = airy_um / (np.pi * np.maximum(np.hypot(y, x), pitch_um)) ** 3
     rings *= rim * pitch_um**2

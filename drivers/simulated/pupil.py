@@ -20,7 +20,8 @@ from scipy.special import factorial, ndtr
 
 from labkit.types import Floats
 
-FEWEST_BLADES, MOST_BLADES = 3, 24
+FEWEST_BLADES = 3
+MOST_BLADES = 24
 MOST_OBSTRUCTED = 0.9
 LEAST_CLEAR_SHARE = 0.1
 """Share of the pupil that a cat's eye leaves at least."""
@@ -149,7 +150,8 @@ class Pupil:
         if not self.blades:
             yield 0.0, 0.0, self.opening
         elif self.rounding > STRAIGHT:
-            half, radius = pi / self.blades, 1 / self.rounding
+            half = pi / self.blades
+            radius = 1 / self.rounding
             middle = cos(half) - sqrt(radius**2 - sin(half) ** 2)
             for right, down in self._directions():
                 yield (
@@ -159,7 +161,8 @@ class Pupil:
                 )
         if self.cats_eye:
             shift, radius, direction = self.cats_eye
-            angle, unit = radians(direction), self.opening
+            angle = radians(direction)
+            unit = self.opening
             yield shift * cos(angle) * unit, shift * sin(angle) * unit, radius * unit
 
 

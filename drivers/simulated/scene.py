@@ -249,7 +249,8 @@ def from_pixel_to_pixel(scene: SceneTransform, kernel: Floats32) -> Floats32:
     kernel: (2 n + 1, 2 n + 1) shares of light from pixel to pixel. Beyond the rim the scene
     continues with its border values.
     """
-    rim, far = scene.grid.reach // scene.grid.samples, kernel.shape[0] // 2
+    rim = scene.grid.reach // scene.grid.samples
+    far = kernel.shape[0] // 2
     wide = np.pad(scene.pixels, max(far - rim, 0), mode="edge")
     inner = slice(max(rim - far, 0), -max(rim - far, 0) or None)
     return np.asarray(

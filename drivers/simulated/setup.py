@@ -75,7 +75,8 @@ def settings_for(plan: Plan, seed: int) -> BenchSettings:
     # colours of the mosaic that the plan does not measure need a wavelength all the same
     wavelength_nm = {} if mono else dict(TrueLens().wavelength_nm)
     wavelength_nm |= {channel.name: channel.wavelength_nm for channel in plan.channel}
-    black, white = plan.sensor.black_level, plan.sensor.white_level
+    black = plan.sensor.black_level
+    white = plan.sensor.white_level
     sensor = TrueSensor(
         rows=rows,
         cols=cols,

@@ -44,12 +44,15 @@ def psf_and_halo(
     waves: {Noll mode: waves RMS at REFERENCE_NM} at the colour's wavelength_nm. Shares of
     all light without glare.
     """
-    lens, sensor = settings.lens, settings.sensor
-    f_number, focal_mm = lens.f_number_in(colour), lens.focal_length_in(colour)
+    lens = settings.lens
+    sensor = settings.sensor
+    f_number = lens.f_number_in(colour)
+    focal_mm = lens.focal_length_in(colour)
     cone = working_f_number(
         f_number, lens.best_focus_mm[colour], focal_mm, lens.pupil_magnification
     )
-    spacing_um, lines = sensor.pitch_um / grid.samples, lens.lines_in(colour)
+    spacing_um = sensor.pitch_um / grid.samples
+    lines = lens.lines_in(colour)
     psf: Floats32 = np.zeros(2 * (2 * grid.reach + 1,), dtype=np.float32)
     for nm, share in lines:
         here = {**waves, 4: waves.get(4, 0.0) + lens.defocus_within(colour, nm)}

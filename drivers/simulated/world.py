@@ -21,7 +21,8 @@ FIXED_MODES = tuple(range(5, 16))
 HIGHER_MODES = tuple(range(16, 37))
 """Noll's modes of radial orders 5 to 7, of which a lens as it is made has a little."""
 
-MOST_STATED_NOLL, MOST_STATED_WAVES = 45, 2.0
+MOST_STATED_NOLL = 45
+MOST_STATED_WAVES = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +181,8 @@ class TruePanel:
             raise ValueError(
                 f'a panel of stripes shines in R, G and B: none is for "{colour}"'
             )
-        middle, half = ("RGB".index(colour) + 0.5) / 3, self.lit_across / 6
+        middle = ("RGB".index(colour) + 0.5) / 3
+        half = self.lit_across / 6
         return Lit(
             (middle - half, middle + half),
             (0.5 - self.lit_down / 2, 0.5 + self.lit_down / 2),

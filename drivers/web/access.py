@@ -64,7 +64,8 @@ class Guard:
     def _admitted(self, scope: Scope) -> str | None:
         """Return the path after the token for an admitted request, else None."""
         headers: dict[bytes, bytes] = dict(scope["headers"])
-        host, origin = headers.get(b"host", b"").decode("latin-1"), headers.get(b"origin")
+        host = headers.get(b"host", b"").decode("latin-1")
+        origin = headers.get(b"origin")
         given, _, rest = scope["path"].removeprefix("/").partition("/")
         right = hmac.compare_digest(given.encode("utf-8", "surrogateescape"), self._token)
         if not right or not self._is_us(host, scope["server"]):
@@ -80,7 +81,8 @@ class Guard:
         """Whether a Host header names the address of this connection, unlike a rebound name."""
         try:
             parts = urlsplit(f"//{host}")
-            name, port = (parts.hostname or "").lower(), parts.port or 80
+            name = (parts.hostname or "").lower()
+            port = parts.port or 80
         except ValueError:
             return False
         loopback = server[0] == "::1" or server[0].startswith("127.")

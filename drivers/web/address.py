@@ -28,11 +28,9 @@ def parse_address(address: str) -> tuple[str, int, str]:
     """
     try:
         parts = urlsplit(address)
-        host, port, name = (
-            parts.hostname or "127.0.0.1",
-            parts.port,
-            parts.path.strip("/") or "screen",
-        )
+        host = parts.hostname or "127.0.0.1"
+        port = parts.port
+        name = parts.path.strip("/") or "screen"
     except ValueError:
         raise PlanError(f'address "{address}": allowed is {ALLOWED_ADDRESSES}') from None
     plain = not (parts.query or parts.fragment or parts.username or parts.password)

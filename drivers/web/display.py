@@ -65,7 +65,8 @@ class WebDisplay(ClosesItself):
         hold_s: float = HOLD_S,
         glass: Glass | None = None,
     ) -> None:
-        self._screen, self._monitor = screen, monitor
+        self._screen = screen
+        self._monitor = monitor
         self._close: Callable[[], None] | None = close
         self._warn = warn
         self.hold_s = hold_s
@@ -121,7 +122,8 @@ class WebDisplay(ClosesItself):
 
     def _hold(self, good: Callable[[], bool]) -> Report:
         """Wait for a good report with warnings meanwhile, and return the report."""
-        since, warned = time.monotonic(), None
+        since = time.monotonic()
+        warned = None
         screen = self._screen
         while True:
             with screen.changed:

@@ -18,7 +18,8 @@ from labkit.pace import Pace
 from labkit.photographs.photograph import Photograph
 from labkit.types import FrameKind
 
-LOG_LINES, SHARPNESS_POINTS = 200, 60
+LOG_LINES = 200
+SHARPNESS_POINTS = 60
 
 
 class Monitor:
@@ -30,10 +31,13 @@ class Monitor:
         operator: Operator,
         now: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._now, self._requests, self._operator = now, requests, operator
+        self._now = now
+        self._requests = requests
+        self._operator = operator
         self._lock = threading.Condition()
         self._listeners: dict[object, Callable[[], None]] = {}
-        self._phase, self._doing = "idle", ""
+        self._phase = "idle"
+        self._doing = ""
         self._done = self._total = 0
         self._pace = Pace()
         self._paused = self._stopping = False
@@ -69,7 +73,8 @@ class Monitor:
         self._show(look_at(name, kind, range_mm, mosaic))
         with self._lock:
             self._pace.at(done, total, self._now())
-            self._done, self._total = done, total
+            self._done = done
+            self._total = total
             # a photograph in the session means that whatever was in trouble has got over it
             self._devices = {
                 device: {**state, "state": "good"}
@@ -173,7 +178,8 @@ class Monitor:
     def _show(self, look: Look) -> None:
         frame, preview = summarise(self._frame.number + 1 if self._frame else 1, look)
         with self._lock:
-            self._frame, self.preview = frame, preview
+            self._frame = frame
+            self.preview = preview
             if frame.edge_px is not None:
                 self._sharpness.append({"name": look.name, "edge_px": frame.edge_px})
 

@@ -41,7 +41,8 @@ def find_pages() -> list[tuple[str, str, str]]:
 def _pages(file: Path) -> Iterator[tuple[str, str, str]]:
     try:
         noted = json.loads(file.read_text(encoding="utf-8"))
-        url, address = str(noted["url"]), str(noted["address"])
+        url = str(noted["url"])
+        address = str(noted["address"])
         state = _state(url)
     except (OSError, ValueError, KeyError, TypeError, WebSocketException):
         with contextlib.suppress(OSError):

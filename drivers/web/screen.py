@@ -79,7 +79,9 @@ class Screen:
         url: str,
         now: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.name, self.panel, self.url = name, panel, url
+        self.name = name
+        self.panel = panel
+        self.url = url
         self.changed = threading.Condition()
         self.order: Order | None = None
         self.asked = 0
@@ -102,7 +104,8 @@ class Screen:
                 f"a picture of {grey.shape} {grey.dtype}; allowed is uint8, at most {rows} × {cols} pixels"
             )
         whole = np.zeros((rows, cols), dtype=np.uint8)
-        top, left = (rows - grey.shape[0]) // 2, (cols - grey.shape[1]) // 2
+        top = (rows - grey.shape[0]) // 2
+        left = (cols - grey.shape[1]) // 2
         whole[top : top + grey.shape[0], left : left + grey.shape[1]] = grey
         done, png = cv2.imencode(".png", whole)
         if not done:
@@ -123,14 +126,19 @@ class Screen:
     def open(self, page: object, wake: Callable[[], None]) -> None:
         """Connect a page in place of any earlier page; `wake` is called, from any thread, after changes."""
         with self.changed:
-            previous, self._page, self._wake, self._report = self._wake, page, wake, None
+            previous = self._wake
+            self._page = page
+            self._wake = wake
+            self._report = None
             self.changed.notify_all()
         previous()
 
     def dismiss(self) -> None:
         """Let its page go."""
         with self.changed:
-            wake, self._page, self._report = self._wake, None, None
+            wake = self._wake
+            self._page = None
+            self._report = None
             self.changed.notify_all()
         wake()
 
@@ -142,7 +150,8 @@ class Screen:
         """Disconnect a page."""
         with self.changed:
             if self._page is page:
-                self._page, self._report = None, None
+                self._page = None
+                self._report = None
                 self._wake = lambda: None
                 self.changed.notify_all()
 

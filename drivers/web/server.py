@@ -60,7 +60,10 @@ TYPES = {
     ".css": "text/css; charset=utf-8",
     ".js": "text/javascript; charset=utf-8",
 }
-SERVER_GONE, TAKEN_OVER, CROWDED, NOT_UNDERSTOOD = 4000, 4001, 4002, 4003
+SERVER_GONE = 4000
+TAKEN_OVER = 4001
+CROWDED = 4002
+NOT_UNDERSTOOD = 4003
 TOO_LONG = 1009
 """RFC 6455, section 7.4.1."""
 
@@ -304,7 +307,8 @@ async def _converse(
                 return
             if news != sent or time.monotonic() - sent_at > AT_LEAST_EVERY_S:
                 await _within(socket.send_text(json.dumps(news)))
-                sent, sent_at = news, time.monotonic()
+                sent = news
+                sent_at = time.monotonic()
                 await asyncio.sleep(pause_s)
             await wake.wait(0.5)
     except (WebSocketDisconnect, TimeoutError, RuntimeError):

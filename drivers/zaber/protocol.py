@@ -71,7 +71,8 @@ def read_reply(line: str) -> Reply | None:
     if not found or check != checksum(text):
         return None
     number = int(found["id"]) if found["id"] else None
-    accepted, busy = found["verdict"] == "OK", found["state"] == "BUSY"
+    accepted = found["verdict"] == "OK"
+    busy = found["state"] == "BUSY"
     return Reply(
         int(found["device"]),
         int(found["axis"]),

@@ -30,7 +30,8 @@ from labkit.drivers.zaber.protocol import (
 from labkit.errors import DeviceTimeoutError, PlanError, RailError
 from labkit.plan import Plan
 
-DEVICE, AXIS = 1, 1
+DEVICE = 1
+AXIS = 1
 COMMAND_TRIES = 3
 NOBODY = 99
 """Message id whose reply nobody waits for; the others are used in turn."""

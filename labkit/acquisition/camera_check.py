@@ -161,7 +161,8 @@ def offered(camera: Camera) -> tuple[Setting, ...]:
 
 def take_test_frame(alone: LoneCamera) -> FrameReport:
     """Take one photograph and judge it; nothing is kept. Raises the driver's errors, RawError, PlanError."""
-    camera, settings = alone.camera, alone.plan.camera
+    camera = alone.camera
+    settings = alone.plan.camera
     assert settings is not None
     camera.identify()
     if alone.planned:

@@ -139,7 +139,8 @@ def run_plan(
 
 def _drawn_otherwise(plan: Plan, picture: PanelPicture) -> str | None:
     """Return a warning if the panel's whole pixels change the target's size by more than the plan's error."""
-    asked_mm, drawn_mm = open_target(plan.target).size_mm[0], picture.size_mm[0]
+    asked_mm = open_target(plan.target).size_mm[0]
+    drawn_mm = picture.size_mm[0]
     stated = plan.target.stated_size
     if abs(drawn_mm / asked_mm - 1) <= stated.std / stated.value:
         return None

@@ -29,7 +29,8 @@ from labkit.types import Floats
 LIVE = Sensor(pixel_pitch_um=1.0)
 """Of a picture of the live view, which says all else by itself."""
 
-FRAME_SOURCE, LIVE_VIEW_SOURCE = "frame", "live view"
+FRAME_SOURCE = "frame"
+LIVE_VIEW_SOURCE = "live view"
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,12 +125,14 @@ def focus(
 
     Nothing is kept. Raises the driver's errors, RawError, PlanError.
     """
-    camera, settings = alone.camera, alone.plan.camera
+    camera = alone.camera
+    settings = alone.plan.camera
     assert settings is not None
     camera.identify()
     if alone.planned:
         camera.configure(ExposureSettings(settings.exposure_s, settings.iso))
-    live, number = isinstance(camera, Previewing), 0
+    live = isinstance(camera, Previewing)
+    number = 0
     for observer in observers:
         observer.noted("focusing", what="turn the lens until the number is smallest")
     while going():

@@ -75,7 +75,8 @@ class PatientDevices:
             return self._standing[1]
         self._standing = None
         self._log.step(f"moving to {range_mm:g} mm")
-        rail, position_mm = self.devices.rail, self._rail.position_mm(range_mm)
+        rail = self.devices.rail
+        position_mm = self._rail.position_mm(range_mm)
         at_mm = self._try("rail", lambda: rail.move_to(position_mm), self._home)
         self.devices.wait(self._rail.settle_s)
         measured_mm = self._rail.range_mm(at_mm)

@@ -172,7 +172,8 @@ class _Round:
 
     def _located(self, look: Look, range_mm: float, seen: Path) -> Look:
         """Return the look with the target's corners, if the target is found."""
-        plan, target = self.plan, open_target(self.plan.target)
+        plan = self.plan
+        target = open_target(self.plan.target)
         given = plan.target.corners_px
         lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
         scale = float(ground_sample_mm(lens, range_mm, plan.sensor.pixel_pitch_um))
@@ -191,7 +192,8 @@ class _Round:
             return look
 
     def _blur_px(self, look: Look, range_mm: float, seen: Path) -> float:
-        corners, grey = look.corners_px, _grey(look)
+        corners = look.corners_px
+        grey = _grey(look)
         assert corners is not None
         blur = blur_px(grey, open_target(self.plan.target), corners)
         margin = margin_px(corners, grey.shape)
@@ -259,10 +261,8 @@ def _grey(look: Look) -> Floats:
 
 
 def _check_disk(folder: Path, frames: int, findings: Findings) -> None:
-    needed, free = (
-        findings.measured["frame_bytes"] * frames * (1 + SPARE_SHARE),
-        shutil.disk_usage(folder).free,
-    )
+    needed = findings.measured["frame_bytes"] * frames * (1 + SPARE_SHARE)
+    free = shutil.disk_usage(folder).free
     findings.measured["free_bytes"] = free
     if free < needed:
         findings.problems.append(

@@ -28,7 +28,9 @@ from labkit.plan import Channel, Plan
 AIRY_ZERO = 1.2197  # first zero of J1 over pi; the thesis prints 3.8317 in (3.49) to (3.53)
 ELECTRONS = 20_000  # at white, of a usual pixel exposed to half of its well
 MOST_ORDER = 8  # of a carpet: finer ones have more cells than any display has pixels
-MOST_ELECTRONS, LEAST_WANTED, FARTHEST_ADVISED_MM = 1e9, 1e-7, 1e7
+MOST_ELECTRONS = 1e9
+LEAST_WANTED = 1e-7
+FARTHEST_ADVISED_MM = 1e7
 
 
 @dataclass(frozen=True)

@@ -132,7 +132,8 @@ class Setup:
         Modes join in the session's groups, from Noll 45 downwards; 0 if not even the plan's
         modes are determined.
         """
-        first, usual = self.plan.fit.noll[0], self.plan.fit.noll[-1]
+        first = self.plan.fit.noll[0]
+        usual = self.plan.fit.noll[-1]
         lasts = [group.last for group in MODE_GROUPS.values() if group.last > usual]
         for last in (*reversed(lasts), usual):
             noll = tuple(range(first, last + 1))

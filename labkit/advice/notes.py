@@ -111,7 +111,8 @@ def _display_notes(plan: Plan, advised: Sequence[RangeAdvice]) -> Iterator[str]:
     panel = plan_panel(plan)
     if panel is None:
         return
-    order, pitch_mm = plan.target.order, panel.pitch_mm
+    order = plan.target.order
+    pitch_mm = panel.pitch_mm
     if plan.target.kind == "sierpinski" and order:
         cell_mm = plan.target.size_mm / 3**order
         if cell_mm < pitch_mm:

@@ -136,13 +136,12 @@ def channel_data(
     if its sensor differs from the calibration frames' or no pixel is usable.
     """
     _refuse_other_sensor(calibration, frame, mosaic)
-    part, where = mosaic.part(channel, cut), mosaic.where(channel, cut)
+    part = mosaic.part(channel, cut)
+    where = mosaic.where(channel, cut)
     offset = part.black_map if calibration.offset is None else calibration.offset[where]
-    factor, falloff, factor_std = (
-        np.ones(part.counts.shape),
-        np.ones(part.counts.shape),
-        np.zeros(part.counts.shape),
-    )
+    factor = np.ones(part.counts.shape)
+    falloff = np.ones(part.counts.shape)
+    factor_std = np.zeros(part.counts.shape)
     findings = [*mosaic.notes, *calibration.findings]
     mask = part.channel_mask(channel) & ~part.saturated
     if calibration.illumination:

@@ -35,10 +35,8 @@ def reduce_darks(stack: Stack, names: Sequence[str]) -> Dark:
     names: of the channels
     """
     mean = clipped_mean(stack.counts)
-    offset, usable = (
-        np.empty(mean.shape, dtype=np.float32),
-        np.ones(mean.shape, dtype=np.bool_),
-    )
+    offset = np.empty(mean.shape, dtype=np.float32)
+    usable = np.ones(mean.shape, dtype=np.bool_)
     frames = len(stack.counts)
     for plane in stack.first.every_plane:
         values = mean[plane]

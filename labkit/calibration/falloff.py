@@ -39,10 +39,8 @@ class Falloff:
             at // (n // side)
             for at, n, side in zip(places, illumination.shape, shape, strict=True)
         )
-        seen, r2 = (
-            illumination[np.ix_(*places)].astype(np.float64),
-            _square(shape, rows, columns),
-        )
+        seen = illumination[np.ix_(*places)].astype(np.float64)
+        r2 = _square(shape, rows, columns)
         lit = seen > 0
         terms = np.stack([np.ones(lit.sum()), r2[lit], r2[lit] ** 2], axis=1)
         _, a, b = np.linalg.lstsq(terms, np.log(seen[lit]), rcond=None)[0]

@@ -80,7 +80,9 @@ def reduce_flats(stack: Stack, names: Sequence[str], dark: Dark | None) -> Flat:
     mean = clipped_mean(stack.counts) - offset
     good = ~stack.saturated if dark is None else dark.usable & ~stack.saturated
     illumination = np.full(mean.shape, np.nan, dtype=np.float32)
-    places, levels, panel = {}, {}, np.ones(mean.shape, dtype=np.float32)
+    places = {}
+    levels = {}
+    panel = np.ones(mean.shape, dtype=np.float32)
     for name in names:
         places[name] = stack.first.planes(name)
         found = [
@@ -118,7 +120,9 @@ def _light_and_panel(flat: Floats, good: Bools, full: Bools) -> tuple[Illuminati
     The pattern is zero if there is none. flat: (rows, cols) counts; full: saturated pixels,
     not good.
     """
-    light, pattern, filled = smooth_illumination(flat, good), np.zeros(flat.shape), flat
+    light = smooth_illumination(flat, good)
+    pattern = np.zeros(flat.shape)
+    filled = flat
     for _ in range(PASSES):
         smooth = np.where(light.lit, light.relative * light.level, 1.0)
         more = repeating(filled / smooth - 1 - pattern, (good | full) & light.lit)
@@ -140,7 +144,8 @@ def _light_and_panel(flat: Floats, good: Bools, full: Bools) -> tuple[Illuminati
 def pixel_response(flats: Sequence[Flat], noise: Mapping[str, NoiseEstimate]) -> Response:
     """Return the pixel response from the flats of all ranges; 1 in channels of unknown noise."""
     shape = flats[0].mean.shape
-    relative, std = np.ones(shape, dtype=np.float32), np.zeros(shape, dtype=np.float32)
+    relative = np.ones(shape, dtype=np.float32)
+    std = np.zeros(shape, dtype=np.float32)
     dead = np.zeros(shape, dtype=np.bool_)
     for name, planes in flats[0].places.items():
         if noise[name].gain is None:
@@ -183,7 +188,8 @@ def _mean_ratio(
 ) -> tuple[Floats, Floats]:
     """Return measured over expected counts of a plane's pixels, averaged over flats, and its inverse variance."""
     shape = flats[0].mean[plane].shape
-    weighted, weights = np.zeros(shape), np.zeros(shape)
+    weighted = np.zeros(shape)
+    weights = np.zeros(shape)
     floor = (noise.read_noise or 0.0) ** 2 + ROUNDING_VARIANCE
     for flat in flats:
         expected = flat.illumination[plane].astype(np.float64) * flat.level[name]

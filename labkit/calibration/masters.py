@@ -147,7 +147,8 @@ def _polynomial(flat: Floats, use: Bools) -> Floats:
         for n in flat.shape
     )
     design = _powers(y, x).reshape(-1, mean.size).T
-    scale, trust = float(mean.max()), weight.ravel().copy()
+    scale = float(mean.max())
+    trust = weight.ravel().copy()
     coefficients = np.zeros(design.shape[1])
     for _ in range(5):
         # Legendre polynomials are nearly orthogonal, so the normal equations do

@@ -90,7 +90,8 @@ def scatter_of(stack: ArrayLike, *, lit: bool) -> Scatter:
         )
     levels = frames.mean(axis=1, keepdims=True)
     steady = frames * (levels.mean() / levels) if lit else frames - levels + levels.mean()
-    signal, variance = steady.mean(axis=0), steady.var(axis=0, ddof=1)
+    signal = steady.mean(axis=0)
+    variance = steady.var(axis=0, ddof=1)
     # The mean's own noise goes with the variance's, and would tilt a line through them: shrink it by what is real.
     real = max(
         0.0, 1 - float(variance.mean()) / len(frames) / max(float(signal.var()), 1e-300)
@@ -109,7 +110,8 @@ def photon_transfer(
     pooled over all groups. Without flats the gain is None. Without darks the read noise
     follows from the flats' different levels, and is None below three standard errors.
     """
-    light, dark = [*flats], [*darks]
+    light = [*flats]
+    dark = [*darks]
     groups = light + [_at_zero(group) for group in dark]
     if not groups:
         return NoiseEstimate(None, None, None, None)
@@ -122,7 +124,8 @@ def photon_transfer(
         floor, floor_std = _mean_variance(variance, freedom)
         return NoiseEstimate(None, None, *_root(floor, floor_std))
     slope, floor, covariance = _line(signal, variance, freedom, floor_known=bool(dark))
-    gain_std, floor_std = float(np.sqrt(covariance[0, 0])), float(np.sqrt(covariance[1, 1]))
+    gain_std = float(np.sqrt(covariance[0, 0]))
+    floor_std = float(np.sqrt(covariance[1, 1]))
     gain = (slope, gain_std) if slope > 0 else (None, None)
     known = bool(dark) or floor - ROUNDING_VARIANCE > 3 * floor_std
     return NoiseEstimate(*gain, *(_root(floor, floor_std) if known else (None, None)))
@@ -156,7 +159,8 @@ def _line(
     typical = variance / _median_factor(freedom)
     middle = signal >= np.median(signal)
     slope = max(float(np.median(typical[middle] / np.maximum(signal[middle], 1e-9))), 1e-9)
-    floor, limit = 1.0, _limit(freedom)
+    floor = 1.0
+    limit = _limit(freedom)
     for _ in range(20):
         expected = np.maximum(slope * signal + floor, 1e-3)
         weight = np.where(variance < limit * expected, freedom / (2 * expected**2), 0.0)

@@ -233,7 +233,9 @@ def _curve(
         return np.asarray(np.bincount(step, values) / times)
 
     lit = light[step] > 0
-    level, c, moved = mean(number), np.zeros(orders.shape[1]), number
+    level = mean(number)
+    c = np.zeros(orders.shape[1])
+    moved = number
     for _ in range(CURVE_ROUNDS):
         rising = np.maximum.accumulate(level[1:]) + 1e-9 * np.arange(len(level) - 1)
         curve = PchipInterpolator(np.log(light[1:]), rising)

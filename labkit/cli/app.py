@@ -77,7 +77,9 @@ def options(
     ] = False,
 ) -> None:
     """Accept the options of every command, which may also follow the command."""
-    ctx.obj.debug, ctx.obj.quiet, ctx.obj.json = debug, quiet, json
+    ctx.obj.debug = debug
+    ctx.obj.quiet = quiet
+    ctx.obj.json = json
 
 
 def studies(incomplete: str) -> list[str]:

@@ -93,7 +93,8 @@ class Console:
             return
         from labkit.cli.progress_bar import bar_of, terminal
 
-        work, shown_on = Work(doing), terminal()
+        work = Work(doing)
+        shown_on = terminal()
         if shown_on is None:
             with _lines(work):
                 yield work.report

@@ -19,7 +19,9 @@ def device_tables(
     connected: Connected,
 ) -> tuple[tuple[str, Sequence[list[str]] | None], ...]:
     """Return title and rows of each kind of device, with the line for the plan; None for what was not looked at."""
-    cameras, rails, usb = connected.cameras, connected.rails, connected.usb
+    cameras = connected.cameras
+    rails = connected.rails
+    usb = connected.usb
     named = [
         (p, f'display.address = "{p.address}"' if p.address else "")
         for p in connected.pages

@@ -133,7 +133,8 @@ class _Answers:
 
     def table(self, name: str, rows: Iterator[Row]) -> None:
         """Ask for a table, row by row; a row may depend on earlier answers."""
-        plain, block = name.strip("[]"), [name]
+        plain = name.strip("[]")
+        block = [name]
         here: dict[str, Any] = {}
         if name.startswith("[["):
             self.tables.setdefault(plain, []).append(here)
@@ -248,7 +249,8 @@ def _of_kind(answers: _Answers, rows: list[Row]) -> Iterator[Row]:
 
 def _with_ranges(answers: _Answers) -> Iterator[Row]:
     """Yield the rail's rows, with ranges at which the target fills a good part of a small frame."""
-    lens, target = answers.tables["lens"], answers.tables["target"]
+    lens = answers.tables["lens"]
+    target = answers.tables["target"]
     first = float(
         f"{max(60 * float(target['size_mm']), 2 * float(lens['focal_length_mm'])):.1g}"
     )

@@ -243,7 +243,8 @@ def _cameras() -> tuple[tuple[FoundCamera, ...] | None, tuple[str, ...]]:
 
 def _rails(ports: Iterable[SerialPort]) -> tuple[tuple[FoundRail, ...], tuple[str, ...]]:
     """Return the rails that answer at free USB ports, and notes on ports that could not be asked."""
-    found, notes = list[FoundRail](), list[str]()
+    found = list[FoundRail]()
+    notes = list[str]()
     for port in ports:
         if not port.vendor_product or port.holders or not port.permitted:
             continue

@@ -86,7 +86,8 @@ class Operator:
             )
         with self._changed:
             self._count += 1
-            self._question, self._answer = Question(self._count, text, wants), None
+            self._question = Question(self._count, text, wants)
+            self._answer = None
         self._notify()
         try:
             with self._still():

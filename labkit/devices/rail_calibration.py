@@ -195,7 +195,8 @@ def find_zero(positions_mm: Sequence[float], ranges_mm: Sequence[float]) -> Rail
     Raises DataError for fewer than two places, for a rail whose scale is wrong by more than
     a tape's error, and for a reading that misfits by as much.
     """
-    at, ranges = np.asarray(positions_mm, dtype=float), np.asarray(ranges_mm, dtype=float)
+    at = np.asarray(positions_mm, dtype=float)
+    ranges = np.asarray(ranges_mm, dtype=float)
     span_mm = float(np.ptp(at)) if at.size else 0.0
     if span_mm < 2 * TAPE_ERROR_MM:
         raise DataError(

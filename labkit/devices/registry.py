@@ -42,7 +42,9 @@ ENTRY_POINT_GROUPS = {
 }
 
 
-FINDERS, PROBES, PAGES = "labkit.finders", "labkit.probes", "labkit.pages"
+FINDERS = "labkit.finders"
+PROBES = "labkit.probes"
+PAGES = "labkit.pages"
 
 
 def installed(device: str) -> tuple[str, ...]:

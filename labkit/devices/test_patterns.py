@@ -75,7 +75,8 @@ def _alignment(panel: PanelInfo) -> Grey:
     ] = 255
     for every_mm, length in TICKS_MM:
         for axis, view in ((0, picture), (1, picture.T)):
-            middle, across = view.shape[0] / 2, view.shape[1] // 2
+            middle = view.shape[0] / 2
+            across = view.shape[1] // 2
             reach = int(middle * panel.pitch_mm / every_mm)
             for at in middle + np.arange(-reach, reach + 1) * every_mm / panel.pitch_mm:
                 if 0 <= at < panel.pixels[axis]:
@@ -90,7 +91,8 @@ def _mark_corners(picture: Grey) -> None:
     )  # whole pixels for the 6 cells of a mark and a white cell around
     if side == 0:
         return
-    margin, cell = side // 2, side // 8
+    margin = side // 2
+    cell = side // 8
     marks = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
     places = (
         (margin, margin),

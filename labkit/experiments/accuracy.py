@@ -40,10 +40,8 @@ def work(task: Task) -> Answer:
     """Fit one picture from a start near the truth."""
     rng = np.random.default_rng([task.seed, round(task.snr)])
     trial = draw_trial(rng, snr=task.snr)
-    problem, start = (
-        trial.problem,
-        trial.state(trial.waves + random_waves(rng, len(trial.noll), START_WAVES)),
-    )
+    problem = trial.problem
+    start = trial.state(trial.waves + random_waves(rng, len(trial.noll), START_WAVES))
     began = perf_counter()
     solution = maximize(problem, start)
     seconds = perf_counter() - began
@@ -72,10 +70,8 @@ def run(setting: Setting) -> Outcome:
 
 def _row(snr: float, answers: Sequence[Answer]) -> dict[str, Any]:
     """Return a row of the table: all trials at one SNR."""
-    errors, bounds = (
-        np.array([a.error for a in answers]),
-        np.array([a.bound for a in answers]),
-    )
+    errors = np.array([a.error for a in answers])
+    bounds = np.array([a.bound for a in answers])
     error, bound = (float(np.sqrt(np.mean(np.sum(e**2, axis=1)))) for e in (errors, bounds))
     z = errors / bounds
     return {

@@ -48,7 +48,8 @@ def work(task: Task) -> Answer:
     rng = np.random.default_rng([43, len(task.noll), task.seed])
     trial = draw_trial(rng, noll=task.noll)
     fit = trial.fit(rng)
-    problem, modes = trial.problem, len(task.noll)
+    problem = trial.problem
+    modes = len(task.noll)
     drawing = problem.draw(trial.state(trial.waves))
 
     def height(waves: Floats) -> float:
@@ -118,7 +119,8 @@ def _claims(
         float(np.mean([getattr(a, key) for a in answers]))
         for key in ("search", "annealing")
     )
-    label, n = f"{modes} modes", len(answers)
+    label = f"{modes} modes"
+    n = len(answers)
     return [
         Claim(
             f"mean time of the annealing over that of the search, {label}",

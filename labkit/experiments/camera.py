@@ -75,7 +75,8 @@ class Camera:
         )
         half = int(radius)
         axis = np.arange(-half, half + 1) / radius
-        rho, theta = np.hypot(axis[:, None], axis), np.arctan2(axis[:, None], axis)
+        rho = np.hypot(axis[:, None], axis)
+        theta = np.arctan2(axis[:, None], axis)
         path = sum(
             (w * zernike(j, rho, theta) for w, j in zip(waves, noll, strict=True)),
             np.zeros_like(rho),
@@ -104,6 +105,7 @@ def white_transform(order: int, y: Floats, x: Floats) -> Floats:
     whole = np.sinc(y) * np.sinc(x)
     black = np.sinc(y / 3**order) * np.sinc(x / 3**order) / 9**order
     for level in range(1, order + 1):
-        at_y, at_x = 2 * np.pi * y / 3**level, 2 * np.pi * x / 3**level
+        at_y = 2 * np.pi * y / 3**level
+        at_x = 2 * np.pi * x / 3**level
         black = black * ((1 + 2 * np.cos(at_y)) * (1 + 2 * np.cos(at_x)) - 1)
     return np.asarray(whole - black)

@@ -22,8 +22,12 @@ from labkit.types import Floats
 
 NOLL = tuple(range(4, 16))
 WAVES_RMS = 0.25
-ORDER, FRAME, SIDE_PX = 5, 106, 70.0
-WAVELENGTH_UM, F_NUMBER, PITCH_UM = 0.55, 8.0, 5.5
+ORDER = 5
+FRAME = 106
+SIDE_PX = 70.0
+WAVELENGTH_UM = 0.55
+F_NUMBER = 8.0
+PITCH_UM = 5.5
 AIRY_UM = WAVELENGTH_UM * F_NUMBER  # lambda N; the pitch is 2.5 times half of it
 PHOTONS = 2.05e5  # a pixel, on average over the carpet
 GAIN = 1 / 2000  # counts a photon
@@ -106,7 +110,8 @@ def draw_trial(
     Raises ValueError for an SNR above the limit of photon noise.
     """
     waves = random_waves(rng, len(noll), waves_rms)
-    angle, size = rng.uniform(-0.03, 0.03), SIDE_PX * rng.uniform(0.98, 1.02)
+    angle = rng.uniform(-0.03, 0.03)
+    size = SIDE_PX * rng.uniform(0.98, 1.02)
     sides = size * np.array(
         [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
     )

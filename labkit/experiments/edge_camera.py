@@ -64,7 +64,8 @@ class EdgeCamera:
             spectrum * _transfer(self, tuple(map(float, waves)), noll), share.shape
         )
         # what comes around the borders reaches up to the frame; the PSF's middle lies `reach` samples into its window
-        first, whole = 2 * self.reach_px * self.finer, self.frame * self.step
+        first = 2 * self.reach_px * self.finer
+        whole = self.frame * self.step
         place = (np.arange(whole * self.finer) + first) % self.samples
         cut = seen[np.ix_(place, place)]
         pixels = cut.reshape(whole, self.finer, whole, self.finer).mean(axis=(1, 3)) + 0.5
@@ -92,7 +93,8 @@ class EdgeCamera:
         inside = np.hypot(fine[:, None], fine[None, :]) < 1
         disc = inside.reshape(2 * half + 1, SHADES, 2 * half + 1, SHADES).mean(axis=(1, 3))
         axis = np.arange(-half, half + 1) / radius
-        rho, theta = np.hypot(axis[:, None], axis), np.arctan2(axis[:, None], axis)
+        rho = np.hypot(axis[:, None], axis)
+        theta = np.arctan2(axis[:, None], axis)
         path = sum(
             (w * zernike(j, rho, theta) for w, j in zip(waves, noll, strict=True)),
             np.zeros_like(rho),
@@ -119,12 +121,14 @@ def _covered(across: Floats, wide: float, high: float) -> Floats:
     The square's shadow along the normal is a trapezoid, the sum of two widths; the share is
     its integral.
     """
-    long, short = max(wide, high), max(min(wide, high), 1e-9)
+    long = max(wide, high)
+    short = max(min(wide, high), 1e-9)
 
     def ramp(x: Floats) -> Floats:
         return np.maximum(x, 0.0) ** 2 / 2
 
-    outer, inner = (long + short) / 2, (long - short) / 2
+    outer = (long + short) / 2
+    inner = (long - short) / 2
     whole = (
         ramp(across + outer)
         - ramp(across + inner)

@@ -27,7 +27,9 @@ from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
 NOLL = tuple(range(4, 16))
-WAVELENGTH_NM, FOCUS_MM, RANGES_MM = 450.0, 5012.0, (5000.0, 7700.0)
+WAVELENGTH_NM = 450.0
+FOCUS_MM = 5012.0
+RANGES_MM = (5000.0, 7700.0)
 THESIS_ERRORS_MM = (21.0, 71.0)  # 5.021 m and 7.771 m
 LENS = ThinLens(70.0, 2.8, 0.985)
 PITCH_UM, STEP, FRAME = (
@@ -48,7 +50,8 @@ SIDES_E = (
     23_000.0,
 )  # electrons of envelope and paper: the thesis states none; those of its bench frames
 GAIN, READ_NOISE = 0.4, 1.5  # counts per electron, counts
-LENS_WAVES, KNOWN_WAVES = 0.1, 0.002
+LENS_WAVES = 0.1
+KNOWN_WAVES = 0.002
 DEFOCUS_WAVES = 0.01  # what the thesis's figures take for granted
 
 OTHER_CAMERAS = {

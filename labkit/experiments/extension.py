@@ -26,7 +26,8 @@ PICTURES = (
 SIDE = 128  # samples of a picture, each the mean of several
 EXTERIOR = SIDE // 8  # wide, on every side, where it is unknown
 RADIUS = 3  # samples around a hole that OpenCV's two look at
-OURS, NEAREST = "minimum bandwidth", "biharmonic"
+OURS = "minimum bandwidth"
+NEAREST = "biharmonic"
 
 
 @dataclass(frozen=True)
@@ -111,12 +112,15 @@ def methods() -> dict[str, Callable[[Floats, Bools], Floats]]:
 
 def work(task: Task) -> Answer:
     """Fill one picture's holes in every way."""
-    truth, known = picture(task.picture), masks(np.random.default_rng(0))[task.mask]
+    truth = picture(task.picture)
+    known = masks(np.random.default_rng(0))[task.mask]
     if not task.exterior_known:
         inside = np.zeros_like(known)
         inside[EXTERIOR:-EXTERIOR, EXTERIOR:-EXTERIOR] = True
         known = known & inside
-    given, filled, seconds = np.where(known, truth, 0.0), {}, {}
+    given = np.where(known, truth, 0.0)
+    filled = {}
+    seconds = {}
     for name, method in methods().items():
         began = perf_counter()
         filled[name] = method(given, known)

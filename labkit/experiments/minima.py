@@ -42,7 +42,8 @@ def work(seed: int) -> Answer:
 
 def quasi_newton(trial: Trial, start: Floats) -> Floats:
     """Maximise the likelihood of the wavefront by SciPy's L-BFGS-B, all other parameters at the truth."""
-    problem, modes = trial.problem, len(trial.noll)
+    problem = trial.problem
+    modes = len(trial.noll)
     drawing = problem.draw(trial.state(start))
 
     def lowered(waves: Floats) -> tuple[float, Floats]:

@@ -73,10 +73,8 @@ class PictureCamera:
     @cached_property
     def _frequencies(self) -> tuple[Floats, Floats]:
         """Cycles a pixel."""
-        fine, step = (
-            self.camera.pixels * self.camera.oversampling,
-            1 / self.camera.oversampling,
-        )
+        fine = self.camera.pixels * self.camera.oversampling
+        step = 1 / self.camera.oversampling
         return scipy.fft.fftfreq(fine, step)[:, None], scipy.fft.rfftfreq(fine, step)[
             None, :
         ]

@@ -48,7 +48,11 @@ WAVES = np.array(
     [0.0, 0.021, -0.018, 0.024, 0.019, -0.022, 0.013, 0.027, -0.015, 0.017, -0.012, 0.020]
 )
 GAIN, READ_NOISE, WHITE = 0.45, 1.13, 10_350.0  # counts an electron, counts, counts
-FRAME, TORUS, SQUARES, SAMPLES, GUARD = 64, 112, 2, 6, 16
+FRAME = 64
+TORUS = 112
+SQUARES = 2
+SAMPLES = 6
+GUARD = 16
 QUICK_SAMPLES = 2
 INSIDE_PX = 8  # from the border, where the frame's end no longer counts
 FRAMES = 4
@@ -60,8 +64,11 @@ GRANTED = {
     "total-variation": (5e-4,),
 }
 """Settings of the others, of which each scene's best is taken by its truth; ours are not chosen so."""
-OURS, DEFOCUS_ONLY, BLURRED = "full PSF", "defocus alone", "interpolated"
-SEVERAL, COLOURS = "four frames", "three colours"
+OURS = "full PSF"
+DEFOCUS_ONLY = "defocus alone"
+BLURRED = "interpolated"
+SEVERAL = "four frames"
+COLOURS = "three colours"
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,8 +196,10 @@ def work(task: Task) -> Answer:
     shifts = [(0.0, 0.0), *map(tuple, rng.uniform(-2, 2, (FRAMES - 1, 2)))]
     frames = [_exposed(WHITE * _mosaic(worlds, shift), rng) for shift in shifts]
     made = partial(job_of, samples=task.samples)
-    truth, one = worlds["R"].truth(task.samples), made(frames[:1])
-    restored, seconds = {BLURRED: interpolated(one, 0) / WHITE}, {BLURRED: 0.0}
+    truth = worlds["R"].truth(task.samples)
+    one = made(frames[:1])
+    restored = {BLURRED: interpolated(one, 0) / WHITE}
+    seconds = {BLURRED: 0.0}
     for name in GRANTED:
         began = perf_counter()
         restored[name] = _best(name, one, truth)
@@ -241,16 +250,21 @@ def _exposed(mean: Floats, rng: np.random.Generator) -> Floats:
 
 def _best(name: str, job: Job, truth: Floats) -> Floats:
     """Return another method's scene with the setting nearest the truth; stop once settings get worse."""
-    blurred, psf = interpolated(job, 0) / WHITE, psf_of(job, 0)
-    reach, best, least = GUARD * job.samples, blurred, np.inf
-    wide, method = np.pad(blurred, reach, mode="reflect"), BASELINES[name]
+    blurred = interpolated(job, 0) / WHITE
+    psf = psf_of(job, 0)
+    reach = GUARD * job.samples
+    best = blurred
+    least = np.inf
+    wide = np.pad(blurred, reach, mode="reflect")
+    method = BASELINES[name]
     for setting in GRANTED[name]:
         found = method(wide, psf, setting)[reach:-reach, reach:-reach]
         error = float(np.mean((found - truth) ** 2))
         if error > least and name.startswith("richardson"):
             break
         if error < least:
-            best, least = found, error
+            best = found
+            least = error
     return best
 
 

@@ -108,7 +108,8 @@ def run(setting: Setting) -> Outcome:
         (condition, seed) for condition in conditions for seed in range(condition.trials)
     ]
     answers = all_answers(setting, work, tasks, lambda task: task[0].label)
-    rows, claims = list[dict[str, Any]](), list[Claim]()
+    rows = list[dict[str, Any]]()
+    claims = list[Claim]()
     for condition in conditions:
         row = _row(
             condition,

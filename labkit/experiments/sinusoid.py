@@ -8,7 +8,8 @@ import numpy as np
 from labkit.types import Floats
 
 X = np.arange(100) / 99
-TRUE, HIGHEST = 3 * np.pi, 4 * np.pi
+TRUE = 3 * np.pi
+HIGHEST = 4 * np.pi
 GRID = np.linspace(0, HIGHEST, 401)
 SIGNALS = np.sin(GRID[:, None] * X)
 
@@ -66,7 +67,8 @@ def chirp_gap(degrees: int) -> Callable[[Floats, float], float]:
     def gap(data: Floats, frequency: float) -> float:
         theta = np.zeros(degrees + 1)
         theta[0] = frequency
-        value, damping = log_likelihood(data, frequency), 1e-3
+        value = log_likelihood(data, frequency)
+        damping = 1e-3
         first = value
         for _ in range(30):
             phase = theta @ powers
@@ -77,7 +79,9 @@ def chirp_gap(degrees: int) -> Callable[[Floats, float], float]:
             )
             trial = float(-0.5 * np.sum((data - np.sin((theta + step) @ powers)) ** 2))
             if trial > value:
-                theta, value, damping = theta + step, trial, damping / 5
+                theta = theta + step
+                value = trial
+                damping = damping / 5
             else:
                 damping *= 8
         return value - first
@@ -115,7 +119,8 @@ def linear_gap(directions: Floats) -> Callable[[Floats, float], float]:
 
     def gap(data: Floats, frequency: float) -> float:
         first = log_likelihood(data, frequency)
-        theta, best = frequency, first
+        theta = frequency
+        best = first
         for _ in range(8):
             slopes = np.vstack([X * np.cos(theta * X), directions])
             solved = np.linalg.lstsq(slopes.T, data - np.sin(theta * X), rcond=None)[0]

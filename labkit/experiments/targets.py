@@ -76,7 +76,8 @@ def run(setting: Setting) -> Outcome:
     trials = 2 if setting.quick else 40
     tasks = [Task(seed, name) for name in SPECS for seed in range(trials)]
     answers = all_answers(setting, work, tasks, lambda task: task.target)
-    rows, rms = [], {}
+    rows = []
+    rms = {}
     for name in SPECS:
         of_target = [
             answer
@@ -114,10 +115,8 @@ def _rows(
     name: str, rms: Floats, answers: Sequence[tuple[Floats, str]]
 ) -> list[dict[str, Any]]:
     """Return rows of the table: one target, a row for each read noise."""
-    bounds_, open_ = (
-        np.array([bound for bound, _ in answers]),
-        sorted({words for _, words in answers} - {""}),
-    )
+    bounds_ = np.array([bound for bound, _ in answers])
+    open_ = sorted({words for _, words in answers} - {""})
     return [
         {
             "target": name,

@@ -53,7 +53,9 @@ def run(setting: Setting) -> Outcome:
     answers = all_answers(
         setting, work, tasks, lambda task: f"{task[0]:g} times undersampled"
     )
-    rows, claims, curves = list[dict[str, Any]](), list[Claim](), {}
+    rows = list[dict[str, Any]]()
+    claims = list[Claim]()
+    curves = {}
     for times in UNDERSAMPLED:
         covariances = [
             a.covariance for a, task in zip(answers, tasks, strict=True) if task[0] == times

@@ -132,10 +132,12 @@ def _with_the_plan(sizes: Sequence[_Size], plan: Plan) -> str | None:
     """Describe a size at a typical range that contradicts the plan's numbers; None without contradiction."""
     if not sizes:
         return None
-    focal, size = plan.lens.stated_focal_length, plan.target.stated_size
+    focal = plan.lens.stated_focal_length
+    size = plan.target.stated_size
     constant = focal.value * size.value / (plan.sensor.pixel_pitch_um * 1e-3)
     typical = sorted(sizes, key=lambda one: one.constant)[len(sizes) // 2]
-    seen_mm, zero_mm = constant / typical.side_px, STDS * plan.fit.range_zero_std_mm
+    seen_mm = constant / typical.side_px
+    zero_mm = STDS * plan.fit.range_zero_std_mm
     nearest_mm = min(
         max(seen_mm, typical.away_mm - zero_mm), typical.away_mm + zero_mm
     )  # that the tape allows

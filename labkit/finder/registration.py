@@ -113,7 +113,8 @@ def parent_agreement(image: Singles, target: Target, corners: Floats) -> float:
             # the large target's corners in the small one's units, which reach from -1 to 1
             large = _mapped(image_from_small, 3 * unit - np.array([row, col]))
             factor = max(1, round(_side(large) / 243))
-            picture, at = binned(image, factor), (large + 0.5) / factor - 0.5
+            picture = binned(image, factor)
+            at = (large + 0.5) / factor - 0.5
             template = _render(target, _side(at))
             hidden = (corners + 0.5) / factor - 0.5
             best = max(
@@ -159,7 +160,9 @@ def _render(target: Target, side_px: float) -> _Template:
         target.sample(y * height, x * width, 0.4 / spacing), dtype=np.float32
     )
     cut = 2 * rim if target.surround is None else 0
-    low, bottom, right = rim - cut - 0.5, rim - cut + rows - 0.5, rim - cut + cols - 0.5
+    low = rim - cut - 0.5
+    bottom = rim - cut + rows - 0.5
+    right = rim - cut + cols - 0.5
     corners = np.array([[low, low], [low, right], [bottom, right], [bottom, low]])
     return _Template(
         sharp, (slice(cut, sharp.shape[0] - cut), slice(cut, sharp.shape[1] - cut)), corners

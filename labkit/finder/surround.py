@@ -33,7 +33,8 @@ def surround_level(light: Floats, used: Bools, pose: Pose) -> float | None:
     # half of the margin that is kept: the blur of the target's edge is left out
     gap = round(max(MARGIN_PX, MARGIN * np.ptp(corners, axis=0).max()) / 2)
     near = cv2.dilate(inside, np.ones((2 * gap + 1, 2 * gap + 1), np.uint8))
-    target, around = light[(inside > 0) & used], light[(near == 0) & used]
+    target = light[(inside > 0) & used]
+    around = light[(near == 0) & used]
     if not (target.size and around.size):
         return None
     dark, bright = np.percentile(target, (DARK_PERCENT, LIGHT_PERCENT))

@@ -62,7 +62,8 @@ class Blur:
     _perfect_psf: Floats = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        torus, pupil = self.torus, self.pupil
+        torus = self.torus
+        pupil = self.pupil
         finer = torus.spacing_um / pupil.spacing_um
         if max(abs(side * finer - round(side * finer)) for side in torus.fine) > 1e-6:
             raise ValueError(
@@ -198,10 +199,8 @@ class Blur:
 
         N is the working f-number; the modes stay constant in waves.
         """
-        departure, perfect = (
-            np.zeros((self.pupil.size, self.pupil.size)),
-            np.zeros(self._perfect.shape),
-        )
+        departure = np.zeros((self.pupil.size, self.pupil.size))
+        perfect = np.zeros(self._perfect.shape)
         halo = self.pupil.halo
         airy_um = halo.wavelength_um * halo.f_number
         for share, node in self.spectrum.shares:
@@ -217,10 +216,8 @@ class Blur:
 
         slopes: of each node's weight, by node; their sum is 0
         """
-        departure, perfect = (
-            np.zeros((self.pupil.size, self.pupil.size)),
-            np.zeros(self._perfect.shape),
-        )
+        departure = np.zeros((self.pupil.size, self.pupil.size))
+        perfect = np.zeros(self._perfect.shape)
         halo = self.pupil.halo
         airy_um = halo.wavelength_um * halo.f_number
         for node, slope in slopes.items():
@@ -261,10 +258,12 @@ class Blur:
         """Yield rims above and below the present rim along each number of a part, within its bounds, and their
         distance.
         """
-        part, values = self.parts[k], np.array(self.parts[k].values)
+        part = self.parts[k]
+        values = np.array(self.parts[k].values)
         rest = (*self.given, *self.parts[:k]), self.parts[k + 1 :]
         for step in RIM_STEP * np.eye(len(values)):
-            above, below = part.at(values + step), part.at(values - step)
+            above = part.at(values + step)
+            below = part.at(values - step)
             apart = np.linalg.norm(np.subtract(above.values, below.values))
             yield (
                 rim_of((*rest[0], above, *rest[1])),
@@ -322,7 +321,8 @@ class Blur:
         Central differences are exact to (2 pi t / L)^2 / 6 for light a distance t from its
         image on a torus of side L.
         """
-        by_row, by_column = np.empty_like(transfer), np.empty_like(transfer)
+        by_row = np.empty_like(transfer)
+        by_column = np.empty_like(transfer)
         np.subtract(transfer[2:], transfer[:-2], out=by_row[1:-1])
         by_row[0] = transfer[1] - np.conj(
             np.roll(transfer[1, ::-1], 1)

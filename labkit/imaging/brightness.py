@@ -76,10 +76,8 @@ class Brightness:
         """
         rows, columns = (max(n - 1, 1) / 2 for n in self.shape)
         c = self.coefficients
-        unlike, crossed = (
-            c[2, 0] / rows**2 - c[0, 2] / columns**2,
-            c[1, 1] / (rows * columns),
-        )
+        unlike = c[2, 0] / rows**2 - c[0, 2] / columns**2
+        crossed = c[1, 1] / (rows * columns)
         return float(np.hypot(unlike, crossed))
 
     def _ln(self, rows: Floats, columns: Floats) -> Floats:

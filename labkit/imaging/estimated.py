@@ -98,7 +98,8 @@ def polar(
     The error of a direction is at most that of any direction within a period.
     """
     length = math.hypot(cosine.value, sine.value) or 1e-9
-    along, across = cosine.value / length, sine.value / length
+    along = cosine.value / length
+    across = sine.value / length
     angle = math.degrees(math.atan2(sine.value, cosine.value)) / order
     std = math.degrees(math.hypot(across * cosine.std, along * sine.std) / length) / order
     return (

@@ -160,10 +160,8 @@ class Torus:
             (2j * np.pi * self.pitch_um * f).astype(spectrum.dtype)
             for f in (self.row_frequency, self.column_frequency)
         )
-        by_row, folded = (
-            np.zeros(self.pixels, spectrum.dtype),
-            np.zeros((self.pixels[0], self.fine[1]), spectrum.dtype),
-        )
+        by_row = np.zeros(self.pixels, spectrum.dtype)
+        folded = np.zeros((self.pixels[0], self.fine[1]), spectrum.dtype)
         for rows in self._onto_one_another(spectrum):
             block = spectrum[rows] * transfer[rows]
             by_row[: len(block)] += self.folded_columns(block) * down[rows]

@@ -79,7 +79,8 @@ def wrapped_light(
             torus.margin[1] + torus.pixels[1] // 2,
         ),
     )
-    scene, pictures = Scene(twice, target, rough.band_limit_per_um, reference), []
+    scene = Scene(twice, target, rough.band_limit_per_um, reference)
+    pictures = []
     image = scene.image(reference)
     for each in (rough, twice):
         low = [wide - own for wide, own in zip(twice.margin, each.margin, strict=True)]

@@ -296,7 +296,8 @@ class ForwardModel:
         """
         if self.scene.brightness is None:
             return [np.empty((0, int(u.sum()))) for u in used]
-        growth_std, made = self.scene.brightness.growth_std(*self._pixels), []
+        growth_std = self.scene.brightness.growth_std(*self._pixels)
+        made = []
         for spectrum, u in zip(spectra, used, strict=True):
             down, right = (torus.sample(spectrum, kernel)[u] for kernel in kernels[1:])
             made.append(
@@ -383,10 +384,8 @@ class ForwardModel:
         used: Sequence[Bools],
     ) -> list[list[Floats32]]:
         """Return (pixels,) changes of each frame's mean by each of some changes of the PSF."""
-        behind, changes = (
-            [blur.behind_pixel(spectrum) for spectrum in spectra],
-            list[list[Floats32]]([] for _ in used),
-        )
+        behind = [blur.behind_pixel(spectrum) for spectrum in spectra]
+        changes = list[list[Floats32]]([] for _ in used)
         for response in blur.responses(psfs):
             for of_frame, b, u in zip(changes, behind, used, strict=True):
                 of_frame.append(

@@ -70,7 +70,8 @@ def _read(spline: Floats | Floats32, onto: Floats, values: Floats32) -> None:
     rows, columns = spline.shape
     many = values.shape[1]
     row, column = np.empty(many, np.int32), np.empty(many, np.int32)
-    below, right = np.empty(many, np.float32), np.empty(many, np.float32)
+    below = np.empty(many, np.float32)
+    right = np.empty(many, np.float32)
     down, across = np.empty((6, many), np.float32), np.empty((6, many), np.float32)
     for i in range(values.shape[0]):
         for j in range(many):
@@ -108,18 +109,14 @@ def _weigh(places: Floats32, weights: Floats32) -> None:
     """Compute weights (6, n) of the six samples around each of n places (0..1) past the third: the quintic
     B-spline.
     """
-    one, two, half, quarter = (
-        np.float32(1),
-        np.float32(2),
-        np.float32(1 / 2),
-        np.float32(1 / 4),
-    )
-    least, slope, middle, last = (
-        np.float32(1 / 120),
-        np.float32(1 / 24),
-        np.float32(11 / 20),
-        np.float32(1 / 12),
-    )
+    one = np.float32(1)
+    two = np.float32(2)
+    half = np.float32(1 / 2)
+    quarter = np.float32(1 / 4)
+    least = np.float32(1 / 120)
+    slope = np.float32(1 / 24)
+    middle = np.float32(11 / 20)
+    last = np.float32(1 / 12)
     for j in range(places.size):
         t = places[j]
         s = one - t

@@ -8,7 +8,8 @@ from labkit.arrays import real_array
 from labkit.types import Floats
 
 POSE_SIZE = 8
-CORNER_Y, CORNER_X = np.array([-1.0, -1, 1, 1]), np.array([-1.0, 1, 1, -1])
+CORNER_Y = np.array([-1.0, -1, 1, 1])
+CORNER_X = np.array([-1.0, 1, 1, -1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +41,8 @@ class Pose:
         Raises ValueError for another shape and for three corners on a line.
         """
         row, col = real_array("corners_px", corners_px, (4, 2), "pixels").T
-        one, zero = np.ones(4), np.zeros(4)
+        one = np.ones(4)
+        zero = np.zeros(4)
         row_equations = np.stack(
             [one, CORNER_Y, CORNER_X, zero, zero, zero, -row * CORNER_Y, -row * CORNER_X],
             axis=1,
@@ -136,7 +138,8 @@ class Pose:
         y, x, one = (
             a * row + b * col + c for a, b, c in np.linalg.inv(self.matrix)
         )  # (y, x, 1) / (1 + v6 y + v7 x)
-        zero, basis = np.zeros_like(y), np.stack([one, y, x])
+        zero = np.zeros_like(y)
+        basis = np.stack([one, y, x])
         rows = np.concatenate([basis, [zero, zero, zero], -row * basis[1:]])
         cols = np.concatenate([[zero, zero, zero], basis, -col * basis[1:]])
         return rows, cols

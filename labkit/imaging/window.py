@@ -11,7 +11,8 @@ STRAYED = 1e-4  # share of the light by which a PSF beyond its window may differ
 OF_HALO = 0.2  # 0.14 to 0.27 for wavefronts of 0.2 to 1.5 waves RMS in modes 4 to 28
 WINDOW_AIRY = 120.0  # lambda N, unless a wavefront needs more: twice STRAYED strays at 1.3 waves of defocus
 WIDEST_WINDOW = 400.0  # for memory's sake
-RAYS, SLOPE_STEP = 128, 1e-4
+RAYS = 128
+SLOPE_STEP = 1e-4
 FADING = 0.2  # of the window, both borders together, along rows and columns
 
 

@@ -157,7 +157,8 @@ def _mean_transfer(wavefront: FittedWavefront, radius_um: float) -> _Mean:
 
 
 def _mean_in_one_light(wavefront: FittedWavefront, radius_um: float) -> _Mean:
-    cutoff, steep = wavefront.cutoff_per_mm * 1e-3, steepness(wavefront)
+    cutoff = wavefront.cutoff_per_mm * 1e-3
+    steep = steepness(wavefront)
     turns = 2 * np.pi * radius_um * cutoff
     node, weight = np.polynomial.legendre.leggauss(
         24 + int(np.ceil(0.5 * turns + 0.35 * steep))

@@ -26,7 +26,8 @@ def error_with_bias(std: Floats, bias: Floats) -> Floats:
     ----------
     std, bias : standard errors and biases, of the same shape and unit
     """
-    std, bias = np.asarray(std, float), np.abs(bias)
+    std = np.asarray(std, float)
+    bias = np.abs(bias)
     ratio = np.minimum(bias / np.maximum(std, np.finfo(float).tiny), 100.0)
     return np.asarray(
         std * (np.sqrt(chndtrix(WITHIN, 1, ratio**2)) - ratio)

@@ -79,7 +79,8 @@ class ThinLens:
         Chief rays go through the pupils' centres, so blur changes no size. target_mm,
         focus_mm: broadcast together.
         """
-        f, mp = self.focal_length_mm, self.pupil_magnification
+        f = self.focal_length_mm
+        mp = self.pupil_magnification
         from_entrance_mm = real_array("target_mm", target_mm, None, "mm") - f + f / mp
         return np.asarray(self.pupil_to_image_mm(focus_mm) / (mp * from_entrance_mm))
 
@@ -154,7 +155,8 @@ def circle_of_confusion_mm(
     lens: ThinLens, target_mm: Floats | float, focus_mm: Floats | float
 ) -> Floats:
     """Return the diameter on the sensor of the geometric blur of a point. Thesis (E.9)."""
-    image, focus = lens.image_distance_mm(target_mm), lens.image_distance_mm(focus_mm)
+    image = lens.image_distance_mm(target_mm)
+    focus = lens.image_distance_mm(focus_mm)
     return np.asarray(
         lens.exit_pupil_mm * np.abs(focus - image) / lens.pupil_to_image_mm(target_mm)
     )

@@ -130,10 +130,8 @@ def _psf_at(
     apart_um = max(PUPIL_SAMPLES * airy_um, 4 * half * spacing_um)
     # in all lights alike: PSFs are shares of light on such samples
     fine_um = airy_um / (2 * wavefront.rim.reach) * min(wavefront.spectrum.nodes)
-    across, at_um = (
-        int(np.ceil(apart_um / fine_um)),
-        spacing_um * np.arange(-half, half + 1.0),
-    )
+    across = int(np.ceil(apart_um / fine_um))
+    at_um = spacing_um * np.arange(-half, half + 1.0)
     value: Floats = np.zeros((at_um.size, at_um.size))
     slopes: Floats = np.zeros((len(wavefront.noll[modes]), at_um.size, at_um.size))
     for share, w in wavefront.lights:
@@ -160,7 +158,8 @@ def opd_map(
     at = (2 * np.arange(samples) + 1 - samples) / samples * wavefront.rim.longest
     y, x = np.meshgrid(at, at, indexing="ij")
     inside: Bools = wavefront.rim.inside(x, y)
-    value, std = np.full(x.shape, np.nan), np.full(x.shape, np.nan)
+    value = np.full(x.shape, np.nan)
+    std = np.full(x.shape, np.nan)
     modes = modes_at(wavefront.noll, x[inside], y[inside])
     value[inside] = wavefront.waves @ modes
     std[inside] = np.sqrt(wavefront.variance(modes))
@@ -205,7 +204,8 @@ def magnitude(wavefront: FittedWavefront) -> Uncertain:
     errors: sqrt(r^2 + e) - r at r^2 with an RMS error e. Far from zero, the delta method
     gives the same.
     """
-    a, covariance = wavefront.waves, wavefront.covariance
+    a = wavefront.waves
+    covariance = wavefront.covariance
     value = float(np.linalg.norm(a))
     if not np.isfinite(covariance).all():
         return Uncertain(value, np.sqrt(np.trace(covariance)), "waves")

@@ -33,10 +33,8 @@ BLOCK = (
     1 << 15
 )  # nodes at once: their arrays stay in the cache, and no memory is fetched anew each time
 TURNS = 1024  # parts of a turn at which cosine and sine are tabulated
-COSINES, SINES = (
-    np.cos(2 * np.pi / TURNS * np.arange(TURNS)),
-    np.sin(2 * np.pi / TURNS * np.arange(TURNS)),
-)
+COSINES = np.cos(2 * np.pi / TURNS * np.arange(TURNS))
+SINES = np.sin(2 * np.pi / TURNS * np.arange(TURNS))
 TURN_DEG = 0.05  # of a rim, in differences
 HALF_MODULATION_GRID = (
     200  # frequencies up to the cutoff among which the first below one half is looked for
@@ -106,7 +104,8 @@ def mtf(
     frequency = real_array(
         "frequency_per_mm", frequency_per_mm, None, "cycles/mm on the sensor"
     )
-    along, azimuth = frequency.ravel(), azimuth_deg(direction, field)
+    along = frequency.ravel()
+    azimuth = azimuth_deg(direction, field)
     value, gradient = _modulus(*transfer_function(wavefront, along, azimuth))
     variance = wavefront.variance(gradient)
     if wavefront.f_number_std:
@@ -147,7 +146,8 @@ def mtf50(
     `azimuth_deg`. active_um: width of the pixel's square active area, to include its
     `pixel_mtf`; None for the optics alone.
     """
-    azimuth, cutoff = azimuth_deg(direction, field), wavefront.cutoff_per_mm
+    azimuth = azimuth_deg(direction, field)
+    cutoff = wavefront.cutoff_per_mm
 
     def pixel(frequency: Floats) -> Floats:
         return (
@@ -239,10 +239,8 @@ def _slice(
     wavefront: FittedWavefront, frequency_per_mm: Floats, tables: Floats
 ) -> tuple[Complexes, Complexes]:
     """Return (f,) the transfer function, and (tables, f) its derivatives by paths, the modes' first."""
-    value, slopes = (
-        np.zeros(len(frequency_per_mm), complex),
-        np.zeros((len(tables), len(frequency_per_mm)), complex),
-    )
+    value = np.zeros(len(frequency_per_mm), complex)
+    slopes = np.zeros((len(tables), len(frequency_per_mm)), complex)
     for share, light in wavefront.lights:
         of_light, its_slopes = _slice_in_one_light(light, frequency_per_mm, tables)
         value += share * of_light
@@ -286,7 +284,8 @@ def _autocorrelation(
     node, weight = rule
     top = np.arccos(apart / 2)[:, None]
     beta = top * node
-    y, half = np.sin(beta), np.cos(beta) - apart[:, None] / 2
+    y = np.sin(beta)
+    half = np.cos(beta) - apart[:, None] / 2
     degree = len(path) - 1
     in_y = y ** np.arange(degree + 1)[:, None, None]  # (q, f, beta)
     of_x = np.moveaxis(np.tensordot(path, in_y, 1), 0, 2)  # (f, beta, p)
@@ -315,8 +314,10 @@ def _cosine_and_sine(angle: Floats) -> tuple[Floats, Floats]:
     at = part.astype(np.int64) & (TURNS - 1)
     left = angle - part * (2 * np.pi / TURNS)
     square = left * left
-    cosine, sine = 1 - square * (0.5 - square / 24), left * (1 - square / 6)
-    here, beside = COSINES[at], SINES[at]
+    cosine = 1 - square * (0.5 - square / 24)
+    sine = left * (1 - square / 6)
+    here = COSINES[at]
+    beside = SINES[at]
     return here * cosine - beside * sine, beside * cosine + here * sine
 
 
@@ -337,7 +338,8 @@ def _tables(noll: tuple[int, ...], turn: float, slope: bool = False) -> Floats:
     degree = max((n for n, _ in orders), default=0)
     tables = np.zeros((len(noll), degree + 1, degree + 1))
     for table, (n, m) in zip(tables, orders, strict=True):
-        cosine, sine = np.cos(m * turn), np.sin(m * turn)
+        cosine = np.cos(m * turn)
+        sine = np.sin(m * turn)
         same, other = (-m * sine, m * cosine) if slope else (cosine, sine)
         table[: n + 1, : n + 1] = same * cartesian(nm_to_noll(n, m))
         if m:

@@ -70,7 +70,8 @@ class Pupil:
         )
         offsets = np.arange(-half, half + 1.0)
         y, x = offsets[:, None] / self.radius, offsets[None, :] / self.radius
-        rho, theta = np.hypot(x, y), np.arctan2(y, x)
+        rho = np.hypot(x, y)
+        theta = np.arctan2(y, x)
         tilt = np.exp(2j * np.pi * (self.size // 2) / self.size * offsets)
         object.__setattr__(self, "_offsets", offsets)
         object.__setattr__(self, "_tilt", np.outer(tilt, tilt))
@@ -248,9 +249,11 @@ class Pupil:
         """
         places = (np.arange(self.size) - self.size // 2) / (self.size * stretch)
         phase = -2 * np.pi * np.outer(places, self._offsets)
-        turn, pupil = np.exp(1j * phase), self._pupil_function(waves)
+        turn = np.exp(1j * phase)
+        pupil = self._pupil_function(waves)
         left = turn @ pupil
-        field, light = left @ turn.T, self._light * stretch**2
+        field = left @ turn.T
+        light = self._light * stretch**2
         psf = np.asarray(np.abs(field) ** 2 / light)
         if not slope:
             return psf

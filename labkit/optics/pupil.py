@@ -46,7 +46,8 @@ def smooth_disc(offsets: Floats, radius: float) -> Floats:
     offsets = real_array("offsets", offsets, (None,), "samples")
     positive("radius", radius, "samples")
     axis, places = np.unique(np.abs(offsets), return_inverse=True)
-    along, across = axis[:, None], axis[None, :]
+    along = axis[:, None]
+    across = axis[None, :]
     distance = np.hypot(along, across)
     octant = (distance < radius).astype(float)
     edge = (np.abs(distance - radius) < KERNEL_REACH * np.sqrt(2)) & (
@@ -83,7 +84,8 @@ def _gauss(piece: int) -> tuple[Floats, Floats]:
 
 def _primitive(t: Floats) -> Floats:
     """Return the kernel's integral from 0 to t, which is 1/2 beyond its reach."""
-    s, total = np.minimum(np.abs(t), KERNEL_REACH), np.zeros_like(t)
+    s = np.minimum(np.abs(t), KERNEL_REACH)
+    total = np.zeros_like(t)
     for piece in range(KERNEL_REACH):
         total += _kernel(piece).integ(lbnd=piece)(np.clip(s, piece, piece + 1))
     return np.copysign(total, t)
@@ -129,7 +131,8 @@ def smooth_outline(offsets: Floats, edges: Sequence[Floats]) -> Floats:
         )
     region = np.cumsum(passed.reshape(size, size)[:, ::-1], axis=1)[:, ::-1]
     differ = 2 * np.eye(size) - np.eye(size, k=1) - np.eye(size, k=-1)
-    flatten, power = np.eye(size), np.eye(size)
+    flatten = np.eye(size)
+    power = np.eye(size)
     for factor in FLATTER:
         power = power @ differ
         flatten += factor * power

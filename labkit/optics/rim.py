@@ -71,7 +71,8 @@ class Diaphragm:
         """
         half = np.pi / self.blades
         along = np.cos((theta - self.turn + half) % (2 * half) - half)
-        cosine, curved = np.cos(half), self.roundness
+        cosine = np.cos(half)
+        curved = self.roundness
         b = np.sqrt(1 - (curved * np.sin(half)) ** 2) - curved * cosine
         c = -0.5 * curved - b * cosine
         return np.asarray(-2 * c / (b * along + np.sqrt((b * along) ** 2 - 2 * c * curved)))
@@ -305,9 +306,11 @@ def _chain(ends: Floats, radius: Callable[[Floats], Floats]) -> Floats:
 
 def along(edge: Floats, at: float) -> tuple[Floats, Floats]:
     """Return places (arcs, 2) on each arc of a chain, and their derivatives by `at`, which runs from 0 to 1."""
-    first, middle = edge[::2], edge[1::2]
+    first = edge[::2]
+    middle = edge[1::2]
     last = np.roll(first, -1, axis=0)
-    rise, bend = last - first, 2 * (first - 2 * middle + last)
+    rise = last - first
+    bend = 2 * (first - 2 * middle + last)
     place = first + at * rise + at * (at - 1) * bend
     return place, rise + (2 * at - 1) * bend
 

@@ -58,7 +58,8 @@ def _line_spread(wavefront: FittedWavefront, azimuth: float) -> tuple[Floats, Fl
     rim = wavefront.rim.turned(-azimuth)
     offsets, clear = _amplitude(rim, SAMPLED_RADIUS, SAMPLED_RADIUS * rim.longest)
     x, y = np.meshgrid(offsets / SAMPLED_RADIUS, offsets / SAMPLED_RADIUS)
-    cosine, sine = np.cos(azimuth), np.sin(azimuth)
+    cosine = np.cos(azimuth)
+    sine = np.sin(azimuth)
     modes = modes_at(wavefront.noll, x * cosine - y * sine, x * sine + y * cosine)
     factor = 1j * wavefront.radians_per_wave
     pupil = clear * np.exp(factor * np.tensordot(wavefront.waves, modes, 1))

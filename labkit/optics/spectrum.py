@@ -41,15 +41,14 @@ class Spectrum:
         G. Golub and J. Welsch, Math. Comp. 23, 221 (1969). Raises ValueError for weights
         below 0, or none above.
         """
-        at, shares = (
-            np.asarray(wavelengths_nm, float) / nominal_nm,
-            np.asarray(weights, float),
-        )
+        at = np.asarray(wavelengths_nm, float) / nominal_nm
+        shares = np.asarray(weights, float)
         if not (shares.min() >= 0 < shares.sum()):
             raise ValueError(
                 f"weights {[*map(float, shares)]} of a spectrum: none may be below 0, and some must be above"
             )
-        at, shares = at[shares > 0], shares[shares > 0] / shares.sum()
+        at = at[shares > 0]
+        shares = shares[shares > 0] / shares.sum()
         nodes, weights_ = _gauss(at, shares, min(SPECTRUM_NODES, np.unique(at).size))
         return cls(tuple(map(float, nodes)), tuple(map(float, weights_)))
 
@@ -95,13 +94,16 @@ def _gauss(at: Floats, shares: Floats, count: int) -> tuple[Floats, Floats]:
     """Return nodes and weights (count,) with the first moments of a discrete distribution, by Lanczos'
     recurrence.
     """
-    diagonal, beside = np.zeros(count), np.zeros(count)
-    before, here = np.zeros_like(shares), np.sqrt(shares)
+    diagonal = np.zeros(count)
+    beside = np.zeros(count)
+    before = np.zeros_like(shares)
+    here = np.sqrt(shares)
     for k in range(count):
         diagonal[k] = here @ (at * here)
         after = (at - diagonal[k]) * here - (beside[k - 1] if k else 0.0) * before
         beside[k] = np.linalg.norm(after)
         if k + 1 < count:
-            before, here = here, after / beside[k]
+            before = here
+            here = after / beside[k]
     nodes, vectors = scipy.linalg.eigh_tridiagonal(diagonal, beside[: count - 1])
     return np.asarray(nodes, float), np.asarray(vectors[0] ** 2, float)

@@ -101,7 +101,9 @@ class Climber:
         self, waves: Floats, modes: Floats, path: Floats | float = 0.0
     ) -> tuple[float, Floats, Floats]:
         """Return the PSF at its centre over a perfect lens's, as of `_peak`, over all wavelengths."""
-        value, slope, bend = 0.0, np.zeros(len(waves)), np.zeros((len(waves), len(waves)))
+        value = 0.0
+        slope = np.zeros(len(waves))
+        bend = np.zeros((len(waves), len(waves)))
         for share, factor in self._lights:
             of_light = _peak(waves, self._weights, modes, factor, path)
             value += share * of_light[0]
@@ -129,7 +131,8 @@ def _peak(
     path: of other modes
     """
     field: Complexes = weights * np.exp(1j * factor * (waves @ modes + path))
-    total, by_mode = field.sum(), 1j * factor * (modes @ field)
+    total = field.sum()
+    by_mode = 1j * factor * (modes @ field)
     by_two = -(factor**2) * ((modes * field) @ modes.T)
     slope = 2 * (np.conj(total) * by_mode).real
     bend = 2 * (np.outer(np.conj(by_mode), by_mode) + np.conj(total) * by_two).real
@@ -165,7 +168,8 @@ def brightest_tilts(wavefront: FittedWavefront) -> Floats:
     The true peak of each is at most 2 % higher: of two peaks closer than this, the lower
     may be chosen.
     """
-    w, airy_um = wavefront, 1e3 / wavefront.cutoff_per_mm
+    w = wavefront
+    airy_um = 1e3 / wavefront.cutoff_per_mm
     size = 128 + 16 * int(
         np.ceil(steepness(w) / np.pi)
     )  # a slope of pi throws light lambda N away

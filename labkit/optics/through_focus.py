@@ -61,8 +61,10 @@ def strehl_through_focus(wavefront: FittedWavefront, defocus_waves: Floats) -> T
     The maximum is followed from best focus on. If aberrations may split the image, the
     maximum is searched anew at each defocus, because the highest may change.
     """
-    defocus, rest = _grid(defocus_waves), wavefront.without((2, 3, DEFOCUS))
-    centre, rms = int(np.argmin(np.abs(defocus))), float(np.linalg.norm(rest.waves))
+    defocus = _grid(defocus_waves)
+    rest = wavefront.without((2, 3, DEFOCUS))
+    centre = int(np.argmin(np.abs(defocus)))
+    rms = float(np.linalg.norm(rest.waves))
     split = rms * rest.reference_um / rest.wavelength_um > SPLITS_WAVES
     brightest = (
         [brightest_tilts(_with_defocus(rest, float(waves))) for waves in defocus]
@@ -96,9 +98,11 @@ def mtf_through_focus(
     """Return the MTF of the optics alone at one frequency along a direction, for modes and defocus as in
     `strehl_through_focus`.
     """
-    defocus, rest = _grid(defocus_waves), wavefront.without((2, 3, DEFOCUS))
+    defocus = _grid(defocus_waves)
+    rest = wavefront.without((2, 3, DEFOCUS))
     if not rest.rim.is_round:
-        at, along = np.array([frequency_per_mm]), azimuth_deg(direction)
+        at = np.array([frequency_per_mm])
+        along = azimuth_deg(direction)
         every = [
             transfer_function(_with_defocus(rest, float(waves)), at, along)
             for waves in defocus
@@ -110,10 +114,8 @@ def mtf_through_focus(
             np.array([slopes[:-1, 0] for _, slopes in every]).T,
         )
     steepest = _with_defocus(rest, float(np.abs(defocus).max()))
-    transfer, by_mode = (
-        np.zeros(len(defocus), complex),
-        np.zeros((len(rest.noll), len(defocus)), complex),
-    )
+    transfer = np.zeros(len(defocus), complex)
+    by_mode = np.zeros((len(rest.noll), len(defocus)), complex)
     for share, light in steepest.lights:
         apart = min(2 * abs(frequency_per_mm) / light.cutoff_per_mm, 2.0)
         area, differences = _overlap(light, apart, azimuth_deg(direction))
@@ -139,7 +141,8 @@ def _modulus(
 
 def depth_of_focus(wavefront: FittedWavefront, curve: ThroughFocus) -> FocusDepth | None:
     """Return the depth of focus of a curve of Strehl ratios; None if the curve ends within the depth."""
-    depth, broad = _depth(wavefront, curve), wavefront.in_broadest_light
+    depth = _depth(wavefront, curve)
+    broad = wavefront.in_broadest_light
     if depth is None or broad is None:
         return depth
     there = _depth(broad, strehl_through_focus(broad, curve.defocus_waves))
@@ -152,7 +155,8 @@ def depth_of_focus(wavefront: FittedWavefront, curve: ThroughFocus) -> FocusDept
 def _depth(wavefront: FittedWavefront, curve: ThroughFocus) -> FocusDepth | None:
     """Return the depth in a wavefront's own light."""
     rest = wavefront.without((2, 3, DEFOCUS))
-    x, spline = curve.defocus_waves, CubicSpline(curve.defocus_waves, curve.value)
+    x = curve.defocus_waves
+    spline = CubicSpline(curve.defocus_waves, curve.value)
     slopes = CubicSpline(x, curve.slopes, axis=1)
     turns = [at for at in spline.derivative().roots(extrapolate=False) if spline(at, 2) < 0]
     if not turns:
@@ -210,10 +214,8 @@ def _overlap(
     top = np.arccos(apart / 2)
     half = np.cos(top * node) - apart / 2
     area = np.outer(top * weight * np.cos(top * node) * half, weight) / np.pi
-    along, across = (
-        np.outer(half, node),
-        np.broadcast_to(np.sin(top * node)[:, None], area.shape),
-    )
+    along = np.outer(half, node)
+    across = np.broadcast_to(np.sin(top * node)[:, None], area.shape)
     turn = np.deg2rad(azimuth)
     ends = [
         modes_at(

@@ -204,7 +204,8 @@ def at_focus(wavefront: FittedWavefront) -> FittedWavefront:
 
 def modes_at(noll: tuple[int, ...], x: Floats, y: Floats) -> Floats:
     """Return (modes, ...) Zernike modes at points of the pupil, whose radius is 1."""
-    rho, theta = np.hypot(x, y), np.arctan2(y, x)
+    rho = np.hypot(x, y)
+    theta = np.arctan2(y, x)
     return (
         np.stack([zernike(j, rho, theta) for j in noll])
         if noll

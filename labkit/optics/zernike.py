@@ -108,7 +108,8 @@ def cartesian(j: int) -> Floats:
     iy)^m.
     """
     n, signed = noll_to_nm(j)
-    m, odd = abs(signed), int(signed < 0)
+    m = abs(signed)
+    odd = int(signed < 0)
     table = np.zeros((n + 1, n + 1))
     for k in range((n - m) // 2 + 1):
         half = (n - m) // 2 - k

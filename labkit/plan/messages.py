@@ -47,7 +47,8 @@ def plain_number(text: str) -> str | None:
     if fraction := re.fullmatch(
         r"\s*(\d{1,9}(?:\.\d{1,9})?)\s*/\s*(\d{1,9}(?:\.\d{1,9})?)\s*s?\s*", text
     ):
-        over, under = float(fraction[1]), float(fraction[2])
+        over = float(fraction[1])
+        under = float(fraction[2])
         return f"{over / under:.6g}" if under else None
     if engraved := re.fullmatch(r"\s*[fF]\s*[/:]?\s*(\d{1,9}(?:[.,]\d{1,9})?)\s*", text):
         return engraved[1].replace(",", ".")

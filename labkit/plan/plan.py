@@ -148,7 +148,8 @@ class Plan(Table):
         colours: tuple[str, ...] = CAMERA_COLOURS
         words = "R, G or B; the one channel of a mono sensor has any name"
         if pattern is not None:
-            colours, words = tuple(pattern), f'a colour of cfa_pattern = "{pattern}"'
+            colours = tuple(pattern)
+            words = f'a colour of cfa_pattern = "{pattern}"'
         for name in names:
             if name not in colours and (name.lower() in COLOUR_WORDS or not alone):
                 meant = COLOUR_WORDS.get(name.lower())

@@ -463,7 +463,8 @@ def _stated(value: float, std: float | None, relative: float, unit: str = "") ->
 
 def _refuse_larger(table: Table, name: str, error: str) -> None:
     """Raise an error for a standard error larger than its value."""
-    value, std = getattr(table, name), getattr(table, error)
+    value = getattr(table, name)
+    std = getattr(table, error)
     if std is not None and std > value:
         raise problem(f"{error} = {std:g}: allowed is 0 to {name} = {value:g}")
 

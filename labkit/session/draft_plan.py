@@ -73,7 +73,8 @@ def draft_plan(image: Path | str) -> Draft:
     """
     image = Path(image)
     photograph, exif = _looked_at(image)
-    blocks, fill_in = [[*_heading(image, exif, photograph), HOW_TO_FILL_IN]], []
+    blocks = [[*_heading(image, exif, photograph), HOW_TO_FILL_IN]]
+    fill_in = []
     for name, rows in _tables(exif, photograph):
         blocks.append([name, *(_line(*row) for row in rows)])
         fill_in += [
@@ -171,7 +172,8 @@ def _heading(image: Path, exif: Exif, photograph: _Photograph) -> Iterator[str]:
 
 def _lens(exif: Exif) -> Iterator[Row]:
     """Yield (key, value, reason) of each line."""
-    focal, stop = exif.focal_length_mm, exif.f_number
+    focal = exif.focal_length_mm
+    stop = exif.f_number
     yield (
         ("focal_length_mm", f"{focal:g}", "by EXIF")
         if focal

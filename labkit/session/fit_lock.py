@@ -76,7 +76,9 @@ def _holder(path: Path) -> str:
     """Say which process has locked a file, and since when."""
     try:
         told = json.loads(path.read_text(encoding="utf-8"))
-        process, machine, since = told["process"], told["machine"], told["since"]
+        process = told["process"]
+        machine = told["machine"]
+        since = told["since"]
     except (OSError, ValueError, KeyError, TypeError):  # it has begun this moment
         return "another process"
     where = "" if machine == socket.gethostname() else f" on {machine}"

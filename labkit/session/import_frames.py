@@ -91,11 +91,9 @@ def import_frames(
 
     >>> session = labkit.import_frames("frames.csv", "plan.toml", "night-3")
     """
-    csv_path, session_folder, source = (
-        Path(csv_path),
-        Path(session_folder),
-        plan_source(plan),
-    )
+    csv_path = Path(csv_path)
+    session_folder = Path(session_folder)
+    source = plan_source(plan)
     open_target(source.plan.target)
     refuse_existing(session_folder)
     rows = read_rows(csv_path, source.plan)
@@ -277,7 +275,8 @@ def _check_photographs(
 
 def _each_once(problems: Sequence[tuple[str, str]], of: str) -> list[str]:
     """Return messages without repetitions, given with their text apart from file and line."""
-    times, firsts = Counter(what for _, what in problems), dict[str, str]()
+    times = Counter(what for _, what in problems)
+    firsts = dict[str, str]()
     for words, what in problems:
         firsts.setdefault(what, words)
     return [

@@ -91,7 +91,8 @@ def decode(line: bytes) -> Line | None:
         event = json.loads(line.decode(), parse_constant=_refuse)
         if not isinstance(event, dict) or not isinstance(event.get("event"), str):
             return None
-        check, after = event.pop("check", None), event.pop("after", None)
+        check = event.pop("check", None)
+        after = event.pop("after", None)
         whole = check is not None and encode(event, after) == (line + b"\n", check)
     except (
         ValueError,
@@ -225,7 +226,8 @@ class JournalWriter:
 
     def _refuse_strange_file(self) -> None:
         """Raise SessionError if the journal was removed, replaced or shortened; save its content beside."""
-        ours, whole = os.fstat(self._file.fileno()), self._end[0]
+        ours = os.fstat(self._file.fileno())
+        whole = self._end[0]
         try:
             there = os.stat(self.path)
         except OSError:

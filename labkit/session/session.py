@@ -352,7 +352,8 @@ def begin(plan: Plan | Path | str, folder: Path | str, resume: bool) -> Session:
     require. plan: or its path. Raises SessionError if a session exists and resume is not
     set or its plan was altered, PlanError if its photographs were taken by another plan.
     """
-    folder, source = Path(folder), plan_source(plan)
+    folder = Path(folder)
+    source = plan_source(plan)
     if not resume:
         refuse_existing(folder, "--resume")
     if not resume or not (folder / JOURNAL).exists():

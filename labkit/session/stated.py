@@ -60,9 +60,11 @@ def _against_plan(stated: Sequence[Stated], plan: Plan) -> Iterator[Finding]:
                 planned_mm=focal_mm,
             )
             break
-    key, f_number = "lens.f_number", plan.lens.f_number
+    key = "lens.f_number"
+    f_number = plan.lens.f_number
     if plan.camera is not None and plan.camera.f_number is not None:
-        key, f_number = "camera.f_number", plan.camera.f_number
+        key = "camera.f_number"
+        f_number = plan.camera.f_number
     for name, exif in stated:
         if exif.f_number and stops_between(exif.f_number, f_number) > STOPS_TOLERANCE:
             yield found(

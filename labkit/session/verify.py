@@ -73,7 +73,8 @@ def unused(session: Session) -> list[Finding]:
         strays += [path] if path.exists() else []
     if not strays:
         return []
-    folder, first = str(strays[0].parent), strays[0].name
+    folder = str(strays[0].parent)
+    first = strays[0].name
     return [found("photographs-unlisted", count=len(strays), folder=folder, first=first)]
 
 

@@ -22,7 +22,11 @@ from labkit.drivers.simulated.controllers.grbl_interpreter import Interpreter
 from labkit.drivers.simulated.controllers.grbl_machine import Machine
 from labkit.drivers.simulated.controllers.motion import Braking
 
-RESET_CODE, ASK_CODE, HOLD_CODE, RESUME_CODE, CANCEL_JOG = 0x18, 0x3F, 0x21, 0x7E, 0x85
+RESET_CODE = 0x18
+ASK_CODE = 0x3F
+HOLD_CODE = 0x21
+RESUME_CODE = 0x7E
+CANCEL_JOG = 0x85
 MOVE_START_S = 0.001
 """Between the ok of a move and its start: a report then still says Idle."""
 
@@ -154,7 +158,8 @@ class GrblController:
 
     def critical(self, alarm: int) -> None:
         """Raise an alarm that stops all answers until a reset."""
-        self.state, self.dead = "Alarm", True
+        self.state = "Alarm"
+        self.dead = True
         self._due_s = self._start_s = None
         self.say(f"ALARM:{alarm}")
         self.say("[MSG:Reset to continue]")
@@ -319,11 +324,17 @@ class GrblController:
 
     def _forget(self, state: str) -> None:
         """Clear the state that a reset clears."""
-        self.state, self.dead, self.wedged, self.checking = state, False, False, False
+        self.state = state
+        self.dead = False
+        self.wedged = False
+        self.checking = False
         self._typed.clear()
         self._lines.clear()
-        self._asked, self._refused = False, False
-        self._due_s, self._start_s, self._dwell_s = None, None, None
+        self._asked = False
+        self._refused = False
+        self._due_s = None
+        self._start_s = None
+        self._dwell_s = None
         self._until_refresh = dict.fromkeys(REFRESH, 0)
         self._interpreter = Interpreter(self)
 
@@ -338,7 +349,8 @@ class GrblController:
 
     def _report(self) -> None:
         self._asked = False
-        machine, moving = self.machine, self.state in ("Run", "Jog", "Home", "Hold")
+        machine = self.machine
+        moving = self.state in ("Run", "Jog", "Home", "Hold")
         state = (
             f"Hold:{int(machine.motion is not None)}"
             if self.state == "Hold"

@@ -52,7 +52,8 @@ def parse(line: str) -> Block:
         if not found:
             raise GcodeError(2)
         at = found.end()
-        letter, value = found[1], float(found[2])
+        letter = found[1]
+        value = float(found[2])
         if letter == "G":
             _add_g(g, value)
         elif letter == "M":

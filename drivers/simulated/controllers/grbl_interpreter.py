@@ -38,7 +38,8 @@ class Interpreter:
 
     def after(self) -> None:
         """Send the output that follows a line's reply."""
-        then, self._then = self._then, []
+        then = self._then
+        self._then = []
         for what in then:
             if what == "reset":
                 self._of.reset()
@@ -103,7 +104,8 @@ class Interpreter:
             raise GcodeError(8)
         if line != "H":
             # the real firmware begins to home before it finds that it does not know the rest, and stays so
-            controller.state, controller.wedged = "Home", True
+            controller.state = "Home"
+            controller.wedged = True
             raise GcodeError(3)
         controller.begin_homing()
         return False
@@ -115,7 +117,8 @@ class Interpreter:
             raise GcodeError(3)
         if controller.state not in ("Idle", "Alarm"):
             raise GcodeError(8)
-        number, value = int(found[1]), float(found[2])
+        number = int(found[1])
+        value = float(found[2])
         if value < 0:
             raise GcodeError(4)
         if (

@@ -89,7 +89,8 @@ class Machine:
     def arrive(self, now_s: float) -> None:
         """End the present motion; a braked move keeps the rest of its way."""
         braked = isinstance(self.motion, Braking)
-        self.position, self.motion = self.place(now_s), None
+        self.position = self.place(now_s)
+        self.motion = None
         if not braked:
             self.planned.popleft()
 
@@ -102,7 +103,8 @@ class Machine:
         """Stop dead: the firmware forgets its plan, and the carriage runs on by some steps."""
         if self.motion is not None:
             way = self.planned[0].target[0] - self.position[0]
-            self.position, self.motion = self.place(now_s), None
+            self.position = self.place(now_s)
+            self.motion = None
             self.slip_mm += self.lost_mm if way > 0 else -self.lost_mm
         self.planned.clear()
 
@@ -110,12 +112,10 @@ class Machine:
         """Restart the count at zero after a power cut, wherever the carriage is."""
         true_mm = self.carriage_mm(now_s)
         self.planned.clear()
-        self.position, self.motion, self.slip_mm, self._is_homed = (
-            (0.0, 0.0, 0.0),
-            None,
-            true_mm,
-            False,
-        )
+        self.position = (0.0, 0.0, 0.0)
+        self.motion = None
+        self.slip_mm = true_mm
+        self._is_homed = False
 
     def outside(self, target: Point) -> bool:
         """Whether soft limits, if they are on, forbid a target."""
@@ -126,9 +126,11 @@ class Machine:
         for axis, mm in enumerate(target):
             travel_mm = self._settings[MAX_TRAVEL + axis]
             if self._zero_at_home and self._homes_low(axis):
-                low_mm, high_mm = 0.0, travel_mm
+                low_mm = 0.0
+                high_mm = travel_mm
             else:
-                low_mm, high_mm = -travel_mm, 0.0
+                low_mm = -travel_mm
+                high_mm = 0.0
             if not low_mm <= mm <= high_mm:
                 return True
         return False
@@ -142,13 +144,15 @@ class Machine:
         if not isinstance(self.motion, Move) or not self._has_low_switch:
             return None
         move = self.motion
-        begin, end = move.origin[0] + self.slip_mm, move.target[0] + self.slip_mm
+        begin = move.origin[0] + self.slip_mm
+        end = move.target[0] + self.slip_mm
         if (begin <= self._switch_mm) == (end <= self._switch_mm):
             return None
         wanted_mm = (
             abs(self._switch_mm - begin) * move.length_mm / abs(end - begin) + STEP_MM
         )
-        low_s, high_s = move.begin_s, move.end_s
+        low_s = move.begin_s
+        high_s = move.end_s
         for _ in range(50):
             middle_s = (low_s + high_s) / 2
             low_s, high_s = (
@@ -164,7 +168,8 @@ class Machine:
             abs(self.slip_mm + self.position[0] - self._home_mm(0))
             + self._settings[PULL_OFF]
         )
-        seek, locate = self._settings[SEEK_RATE] / 60, self._settings[LOCATE_RATE] / 60
+        seek = self._settings[SEEK_RATE] / 60
+        locate = self._settings[LOCATE_RATE] / 60
         return (search_mm + self._settings[PULL_OFF]) / seek + 2 * self._settings[
             PULL_OFF
         ] / locate
@@ -176,11 +181,9 @@ class Machine:
     def homed(self, axes: int) -> None:
         """End homing: counted and true position agree."""
         homes = [self._home_mm(axis) for axis in range(axes)]
-        self.position, self.slip_mm, self._is_homed = (
-            (*homes, *self.position[axes:]),
-            0.0,
-            True,
-        )
+        self.position = (*homes, *self.position[axes:])
+        self.slip_mm = 0.0
+        self._is_homed = True
 
     def homing_cut_off(self, since_s: float) -> None:
         """Interrupt homing: the carriage went part of the way, uncounted."""

@@ -37,7 +37,8 @@ class Move:
     def along(self, now_s: float) -> tuple[float, float]:
         """Return (distance in mm, speed) at a time."""
         ramp_s, peak = self._ramp()
-        since_s, left_s = now_s - self.begin_s, self.end_s - now_s
+        since_s = now_s - self.begin_s
+        left_s = self.end_s - now_s
         if left_s <= 0:
             return self.length_mm, 0.0
         if since_s < ramp_s:

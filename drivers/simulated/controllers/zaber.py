@@ -62,8 +62,11 @@ class ZaberController:
     def power_on(self) -> None:
         """Begin as after a power cut: counted from zero, without a reference."""
         carriage = self.carriage
-        self.position, self.slip, self.flag = 0.0, carriage, "WR"
-        self._motion, self._homing = None, False
+        self.position = 0.0
+        self.slip = carriage
+        self.flag = "WR"
+        self._motion = None
+        self._homing = False
         self._typed.clear()
 
     def receive(self, data: bytes) -> None:
@@ -93,7 +96,9 @@ class ZaberController:
             self.power_on()
         elif trouble == "alarm":
             self.slip += 500 if self._motion else 0
-            self.position, self._motion, self._homing = self._place(), None, False
+            self.position = self._place()
+            self._motion = None
+            self._homing = False
             self.flag = "FS"
         else:
             self.slip += 6000
@@ -113,9 +118,13 @@ class ZaberController:
 
     def _arrive(self) -> None:
         self.now_s = self._motion.end_s if self._motion else self.now_s
-        self.position, self._motion = self._place(), None
+        self.position = self._place()
+        self._motion = None
         if self._homing:
-            self.position, self.slip, self.flag, self._homing = 0.0, 0.0, "--", False
+            self.position = 0.0
+            self.slip = 0.0
+            self.flag = "--"
+            self._homing = False
         self.moved(self.carriage)
 
     def _take(self, line: str) -> None:
@@ -162,7 +171,8 @@ class ZaberController:
                 self._go(target)
             case ["stop"] | ["estop"]:
                 if isinstance(self._motion, Move):
-                    self._motion, self._homing = Braking(self._motion, self.now_s), False
+                    self._motion = Braking(self._motion, self.now_s)
+                    self._homing = False
             case ["warnings"]:
                 return "OK", "00" if self.flag == "--" else f"01 {self.flag}"
             case ["warnings", "clear"]:
@@ -174,7 +184,9 @@ class ZaberController:
         return "OK", "0"
 
     def _go(self, target: float) -> None:
-        self.position, self._motion, self._homing = self._place(), None, False
+        self.position = self._place()
+        self._motion = None
+        self._homing = False
         if target != self.position:
             self._motion = Move(
                 (self.position,),

@@ -56,7 +56,9 @@ def excess_likelihood(problem: Problem, state: State) -> float:
     The validation function of thesis (4.10), (4.12).
     """
     state = _calibrated(problem, state)
-    misfit, photons, pixels = 0.0, 0.0, 0
+    misfit = 0.0
+    photons = 0.0
+    pixels = 0
     for frame, detector, relative in zip(
         problem.frames, state.detectors(), problem.relative(state), strict=True
     ):

@@ -26,7 +26,8 @@ BLIND_ROUNDS, BLIND_STEPS, BLIND_PX = (
     3.0,
 )  # rounds of picture and PSF; the first PSF's standard deviation, pixels
 BALANCE = 1e-3  # of Wiener's roughness, for pictures of 0 to 1
-TV_WEIGHT, TV_STEPS = 5e-4, 50
+TV_WEIGHT = 5e-4
+TV_STEPS = 50
 LEAST_RADIANCE = 1e-4  # of white: a multiplicative step never leaves 0
 
 
@@ -35,7 +36,8 @@ def baseline(job: Job, method: str) -> Floats32:
     restored = BASELINES[method]
     scenes = []
     for k in range(len(job.colours)):
-        blurred, white = interpolated(job, k), _white(job, k)
+        blurred = interpolated(job, k)
+        white = _white(job, k)
         scenes.append(
             white
             * _framed(
@@ -49,7 +51,8 @@ def baseline(job: Job, method: str) -> Floats32:
 
 def interpolated(job: Job, component: int) -> Floats:
     """(rows, columns) samples of a colour of the first photograph: cubic splines through each plane, their mean."""
-    photograph, colour = job.photographs[0], job.colours[component]
+    photograph = job.photographs[0]
+    colour = job.colours[component]
     fine = [np.arange(side * job.samples) / job.samples for side in job.shape]
     total = np.zeros(tuple(side.size for side in fine))
     for row, column in colour.places:
@@ -66,13 +69,12 @@ def interpolated(job: Job, component: int) -> Floats:
 
 def psf_of(job: Job, component: int) -> Floats:
     """(n, n) of lens and pixel on the scene's samples, n odd, unit sum."""
-    colour, side = (
-        job.colours[component],
-        2 * job.period * (2 * job.guard_px // job.period // 2 + 2),
-    )
+    colour = job.colours[component]
+    side = 2 * job.period * (2 * job.guard_px // job.period // 2 + 2)
     grid = SceneGrid((side, side), 0, job.pitch_um, job.samples, job.period)
     whole = np.fft.fftshift(grid.image(transfer_on(grid, colour.optics, colour.waves)))
-    middle, reach = [n // 2 for n in whole.shape], job.guard_px * job.samples
+    middle = [n // 2 for n in whole.shape]
+    reach = job.guard_px * job.samples
     psf = whole[
         middle[0] - reach : middle[0] + reach + 1, middle[1] - reach : middle[1] + reach + 1
     ].clip(0)
@@ -93,7 +95,8 @@ def blind(blurred: Floats, psf: Floats, rounds: int = BLIND_ROUNDS) -> Floats:
     side = np.arange(len(psf)) - len(psf) // 2
     guess = np.exp(-(side**2) / (2 * (len(psf) / 16) ** 2))
     guess = np.outer(guess, guess) / guess.sum() ** 2
-    picture, data = np.full(blurred.shape, blurred.mean()), blurred.clip(LEAST_RADIANCE)
+    picture = np.full(blurred.shape, blurred.mean())
+    data = blurred.clip(LEAST_RADIANCE)
     for _ in range(rounds):
         for _ in range(BLIND_STEPS):
             ratio = data / np.maximum(
@@ -104,7 +107,8 @@ def blind(blurred: Floats, psf: Floats, rounds: int = BLIND_ROUNDS) -> Floats:
             data / np.maximum(fftconvolve(picture, guess, mode="same"), LEAST_RADIANCE) - 1
         )
         turned = fftconvolve(ratio, picture[::-1, ::-1], mode="same") / picture.sum()
-        middle, reach = [n // 2 for n in turned.shape], len(psf) // 2
+        middle = [n // 2 for n in turned.shape]
+        reach = len(psf) // 2
         shown = turned[
             middle[0] - reach : middle[0] + reach + 1,
             middle[1] - reach : middle[1] + reach + 1,
@@ -125,7 +129,9 @@ def total_variation(blurred: Floats, psf: Floats, weight: float = TV_WEIGHT) -> 
     A. Beck and M. Teboulle, IEEE Trans. Image Process. 18, 2419 (2009).
     """
     denoise = _skimage("restoration").denoise_tv_chambolle
-    scene, ahead, pace = blurred.copy(), blurred.copy(), 1.0
+    scene = blurred.copy()
+    ahead = blurred.copy()
+    pace = 1.0
     for _ in range(TV_STEPS):
         apart = fftconvolve(ahead, psf, mode="same") - blurred
         moved = denoise(
@@ -133,9 +139,11 @@ def total_variation(blurred: Floats, psf: Floats, weight: float = TV_WEIGHT) -> 
             weight=weight,
             max_num_iter=30,
         )
-        moved, faster = np.asarray(moved).clip(0), 0.5 * (1 + np.sqrt(1 + 4 * pace**2))
+        moved = np.asarray(moved).clip(0)
+        faster = 0.5 * (1 + np.sqrt(1 + 4 * pace**2))
         ahead = moved + (pace - 1) / faster * (moved - scene)
-        scene, pace = moved, faster
+        scene = moved
+        pace = faster
     return scene
 
 

@@ -127,7 +127,8 @@ def _fold(source: int, result: int) -> scipy.sparse.csr_array:
 def _through(signal: Floats, axis: int, fold: scipy.sparse.csr_array) -> Floats:
     """Fold the spectrum of a real signal along one axis."""
     spectrum = scipy.fft.fft(np.moveaxis(signal, axis, 0), axis=0)
-    size, others = fold.shape[0], spectrum.shape[1:]
+    size = fold.shape[0]
+    others = spectrum.shape[1:]
     folded = np.asarray(fold @ spectrum.reshape(fold.shape[1], -1))
     result = scipy.fft.ifft(folded.reshape(size, *others), axis=0).real
     return np.asarray(np.moveaxis(result, 0, axis))

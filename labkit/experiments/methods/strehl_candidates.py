@@ -47,7 +47,8 @@ def rotated(waves: Floats, angle_rad: float) -> Floats:
         n, m = noll_to_nm(j)
         if m > 0:
             sine = next(i for i, q in enumerate(NOLL) if noll_to_nm(q) == (n, -m))
-            c, s = np.cos(m * angle_rad), np.sin(m * angle_rad)
+            c = np.cos(m * angle_rad)
+            s = np.sin(m * angle_rad)
             result[k] = waves[k] * c - waves[sine] * s
             result[sine] = waves[k] * s + waves[sine] * c
     return result

@@ -164,7 +164,8 @@ class WarpGroup:
             [[float(place == i) for i in range(self.dof)] for place in places]
         )  # d (five) / d x
         five = choose @ x + np.where(choose.any(axis=1), 0.0, AT_REST)
-        c, s = np.cos(five[4]), np.sin(five[4])
+        c = np.cos(five[4])
+        s = np.sin(five[4])
         turn = np.array([[c, -s], [s, c]])
         turned = np.array([[-s, -c], [c, -s]])  # its derivative
         size = np.diag(five[2:4])

@@ -94,5 +94,6 @@ class Blades(Part):
         values = finite(found, f"{self.name}.roundness", f"{self.name}.turn_deg")
         if values is None:
             return None
-        straight, turn = 1 - values[0], self.number * math.radians(values[1])
+        straight = 1 - values[0]
+        turn = self.number * math.radians(values[1])
         return self.at([straight * math.cos(turn), straight * math.sin(turn)])

@@ -22,7 +22,8 @@ MOST_SHIFT = 0.95
 """Largest shift, of the circle's radius: its centre and the pupil's both lie in the clear part."""
 
 ANGLES = np.linspace(0, FULL_TURN, 96, endpoint=False)
-SHIFTS, SIZES = np.arange(0.1, 1.01, 0.1), np.arange(0.7, 1.61, 0.1)
+SHIFTS = np.arange(0.1, 1.01, 0.1)
+SIZES = np.arange(0.7, 1.61, 0.1)
 START_DIRECTIONS = np.linspace(0, FULL_TURN, 36, endpoint=False)
 """Circles that a fit may begin with."""
 
@@ -65,10 +66,8 @@ class CatsEye(Part):
 
     @property
     def _circle(self) -> Circle:
-        shift, direction = (
-            math.hypot(self.right, self.down),
-            math.atan2(self.down, self.right),
-        )
+        shift = math.hypot(self.right, self.down)
+        direction = math.atan2(self.down, self.right)
         return Circle(shift, 1 + self.growth, direction)
 
     def at(self, values: Sequence[float]) -> Self:
@@ -122,7 +121,9 @@ class CatsEye(Part):
         )
         if values is None:
             return None
-        shift, radius, direction = values[0], values[1], math.radians(values[2])
+        shift = values[0]
+        radius = values[1]
+        direction = math.radians(values[2])
         return self.at(
             [shift * math.cos(direction), shift * math.sin(direction), radius - 1]
         )

@@ -57,10 +57,8 @@ class SpectrumWidth(Part):
     def light_slopes(self) -> tuple[Mapping[float, float], ...]:
         """Return central differences, one-sided if the variance can grow no more."""
         step = max(VARIANCE_STEP * abs(self.variance), LEAST_VARIANCE_STEP)
-        above, below = (
-            min(self.variance + step, MOST_VARIANCE),
-            max(self.variance - step, -MOST_VARIANCE),
-        )
+        above = min(self.variance + step, MOST_VARIANCE)
+        below = max(self.variance - step, -MOST_VARIANCE)
         slopes = defaultdict[float, float](float)
         for sign, variance in ((1, above), (-1, below)):
             for share, node in Spectrum.of_width(variance).shares:
@@ -79,7 +77,8 @@ class SpectrumWidth(Part):
     ) -> dict[str, Uncertain]:
         assert channel is not None
         (variance,) = numbers
-        nm, width = channel.wavelength_nm, root(variance)
+        nm = channel.wavelength_nm
+        width = root(variance)
         return {
             f"spectrum.{channel.name}.width_nm": Uncertain(
                 nm * width.value, nm * width.std, "nm"

@@ -50,7 +50,8 @@ class Veil(Part):
 
     def at(self, values: Sequence[float]) -> Self:
         share, log_scale = map(float, values)
-        least, most = math.log(NARROWEST_PX / SCALE_PX), math.log(BROADEST_PX / SCALE_PX)
+        least = math.log(NARROWEST_PX / SCALE_PX)
+        most = math.log(BROADEST_PX / SCALE_PX)
         return type(self)(share, SCALE_PX * math.exp(min(max(log_scale, least), most)))
 
     @property
@@ -68,7 +69,8 @@ class Veil(Part):
         )
 
     def stated(self, plan: Plan, channel: Channel) -> tuple[Self, bool] | None:
-        share, scale_px = plan.lens.veil, plan.lens.veil_scale_px
+        share = plan.lens.veil
+        scale_px = plan.lens.veil_scale_px
         if share is None:
             return None
         if isinstance(share, str):
