@@ -9,10 +9,11 @@ from dataclasses import replace
 from math import inf
 from pathlib import Path
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from labkit.analysis.kept_fits import FOLDER, KeptFits
-from labkit.analysis.observe import observe
+from labkit.analysis.observe import observe, selected
 from labkit.analysis.plan_doubts import plan_findings
 from labkit.analysis.session_parts import (
     camera_findings,
@@ -50,7 +51,7 @@ from labkit.findings import (
     unanswered,
     undetermined,
 )
-from labkit.key import Key, same_range
+from labkit.key import Key
 from labkit.panel.seen_pixels import (
     PLAIN_CONTRAST,
     TargetView,
@@ -129,15 +130,14 @@ def fit(
     >>> results = labkit.fit("night-3", channels="G", noll=(4, 22), name="22-modes")
     """
     session, plan, checksum = _opened(session, plan, noll)
-    ranges = (ranges_mm,) if isinstance(ranges_mm, (int, float)) else ranges_mm
-    names = (channels,) if isinstance(channels, str) else channels
-    keys = _keys(session, plan, ranges, names)
-    whole = keys == _keys(session, plan, None, None)
+    frames, names = selected(session.frames, plan, ranges_mm, channels)
+    keys = {Key(frame.range_mm, name) for frame in frames for name in names}
+    whole = (frames, names) == selected(session.frames, plan, None, None)
     folder = session.results_folder(
-        name or ("latest" if whole else _partial_name(ranges or (), names or ()))
+        name or ("latest" if whole else _partial_name(ranges_mm, channels))
     )
     _refuse_loss(folder, keys)
-    workers = min(workers or default_workers(), max(len(keys), 1))
+    workers = min(workers or default_workers(), len(keys))
     target, steps = open_target(plan.target), Steps(progress)
     together = None
     with fitted_alone(folder):
@@ -147,8 +147,8 @@ def fit(
                 session,
                 plan,
                 target,
-                range_mm=ranges,
-                channel=names,
+                range_mm=ranges_mm,
+                channel=channels,
                 progress=steps.before,
             )
             assumed += _panel_findings(plan, target, observations)
@@ -163,7 +163,7 @@ def fit(
         def results_of(fits: Estimate, wanted: bool = True) -> Results:
             return _results(fits, plan, checksum, noted, patience_s, wanted)
 
-        every = {"": results_of(fits, ranges is None)}
+        every = {"": results_of(fits, ranges_mm is None)}
         if together is not None:
             jointly = results_of(replace(fits, lens=together.lens))
             every[""] = replace(jointly, joint=together.differences)
@@ -349,25 +349,11 @@ def _refuse_loss(folder: Path, keys: Collection[Key]) -> None:
         )
 
 
-def _keys(
-    session: Session,
-    plan: Plan,
-    ranges_mm: Sequence[float] | None,
-    channels: Sequence[str] | None,
-) -> set[Key]:
-    """Return the keys of all wavefronts at these ranges and channels, None for all."""
-    return {
-        Key(range_mm, channel.name)
-        for range_mm in {f.range_mm for f in session.frames if f.kind == "target"}
-        if ranges_mm is None or any(same_range(range_mm, one) for one in ranges_mm)
-        for channel in plan.channel
-        if channels is None or channel.name in channels
-    }
-
-
-def _partial_name(ranges_mm: Sequence[float], channels: Sequence[str]) -> str:
+def _partial_name(ranges_mm: Ranges, channels: Channels) -> str:
     """Return a name for results of some ranges and channels, such as 3300mm-R."""
-    return "-".join([*(f"{range_mm:.10g}mm" for range_mm in ranges_mm), *channels])
+    ranges = [] if ranges_mm is None else np.atleast_1d(ranges_mm).tolist()
+    names = [channels] if isinstance(channels, str) else channels or ()
+    return "-".join([*(f"{range_mm:.10g}mm" for range_mm in ranges), *names])
 
 
 def _doubts(wavefronts: Sequence[Wavefront]) -> Iterator[Finding]:

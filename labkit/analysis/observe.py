@@ -85,8 +85,7 @@ def observe(
     TargetError : a frame does not show the target
     """
     photographs, again = distinct(session.frames)
-    frames = _chosen(session, photographs, range_mm)
-    channels = _channels(plan, channel)
+    frames, channels = selected(photographs, plan, range_mm, channel)
     for name in channels:
         as_shown(
             plan, target, name
@@ -135,46 +134,51 @@ def _surround_findings(plan: Plan, observations: Sequence[Observation]) -> list[
     return [found("surround-contradicted", None, words, level=float(seen))]
 
 
-def _chosen(
-    session: Session, photographs: Sequence[Frame], range_mm: float | Sequence[float] | None
-) -> list[Frame]:
-    frames = [frame for frame in photographs if frame.kind == "target"]
-    if not frames:
-        raise DataError(f"{session.folder} has no target frames: there is nothing to fit")
+def selected(
+    frames: Sequence[Frame],
+    plan: Plan,
+    range_mm: float | Sequence[float] | None,
+    channel: str | Sequence[str] | None,
+) -> tuple[list[Frame], list[str]]:
+    """Return the target frames at some ranges, and the names of some channels in the plan's order.
+
+    Parameters
+    ----------
+    frames : of the session
+    plan : names the channels
+    range_mm, channel : one, several, or None for all
+
+    Raises
+    ------
+    DataError : a range or a channel is absent, or none is requested
+    """
+    targets = [frame for frame in frames if frame.kind == "target"]
+    if not targets:
+        raise DataError("the session has no target frames: there is nothing to fit")
+    known = [c.name for c in plan.channel]
+    names = known if channel is None else [channel] if isinstance(channel, str) else channel
+    absent = ", ".join(name for name in names if name not in known)
+    if absent or not names:
+        raise DataError(f"channel {absent or 'is empty'}: allowed are {', '.join(known)}")
+    names = [name for name in known if name in names]
     if range_mm is None:
-        return frames
+        return targets, names
     wanted = np.atleast_1d(np.asarray(range_mm, dtype=np.float64)).tolist()
     if not wanted:
         raise DataError(
             "range_mm is empty: give one range or more, or None for all of them"
         )
-    if absent := [
-        f"{mm:g}"
-        for mm in wanted
-        if not any(same_range(frame.range_mm, mm) for frame in frames)
-    ]:
-        known = ", ".join(
-            f"{mm:g}"
-            for mm in sorted({f.range_mm for f in frames if f.range_mm is not None})
-        )
-        raise DataError(
-            f"no target frames at {', '.join(absent)} mm: the session has {known or 'none with a range'}"
-        )
-    return [
-        frame for frame in frames if any(same_range(frame.range_mm, mm) for mm in wanted)
-    ]
-
-
-def _channels(plan: Plan, channel: str | Sequence[str] | None) -> list[str]:
-    """Return the names of the requested channels, in the plan's order."""
-    known = [c.name for c in plan.channel]
-    wanted = (
-        known if channel is None else [channel] if isinstance(channel, str) else channel
+    ranges = {frame.range_mm for frame in targets}
+    absent = ", ".join(
+        f"{mm:g}" for mm in wanted if not any(same_range(one, mm) for one in ranges)
     )
-    if not wanted or any(name not in known for name in wanted):
-        absent = ", ".join(name for name in wanted if name not in known)
-        raise DataError(f"channel {absent or 'is empty'}: allowed are {', '.join(known)}")
-    return [name for name in known if name in wanted]
+    if absent:
+        has = ", ".join(f"{mm:g}" for mm in sorted(mm for mm in ranges if mm is not None))
+        raise DataError(
+            f"no target frames at {absent} mm: the session has {has or 'none with a range'}"
+        )
+    at = [f for f in targets if any(same_range(f.range_mm, mm) for mm in wanted)]
+    return at, names
 
 
 def _locate(frame: Frame, plan: Plan, target: Target) -> _Shot:

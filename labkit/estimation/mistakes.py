@@ -1,6 +1,6 @@
 """Mistakes in a plan: stated numbers that may be far off, and errors that allow for them.
 
-A mistake is a stated number that is wrong beyond its standard error: another stop, another colour, another target. The
+A mistake is a stated number that is wrong beyond its standard error: another aperture, another colour, another target. The
 photographs determine the cone times the wavelength over the pixel pitch, the size of the target over the pixel pitch, and
 blur over range. So a mistake contradicts the other numbers. Each number that may be mistaken is a model of its own. The
 evidence of the models gives their probabilities, and the errors contain the spread among the models: J. A. Hoeting et al.,

@@ -63,7 +63,7 @@ class Stated:
 
 
 def optics_of(plan: Plan, channel: str) -> Optics:
-    """Return light, sensor and lens of a plan's channel, with the engraved f-number."""
+    """Return light, sensor and lens of a plan's channel, with the nominal f-number."""
     light = next(c for c in plan.channel if c.name == channel)
     stated = [
         found for part in KNOWN.values() if (found := part.stated(plan, light)) is not None
