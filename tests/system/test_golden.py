@@ -27,6 +27,9 @@ NAMES = {
     "golden_messy": "messy-open",
 }
 
+GREEN = ("golden_beyond", "golden_mirror", "golden_messy")
+"""Fitted in green alone: the other sessions hold that three colours are."""
+
 EXPLAINED = [name for name in NAMES if name != "golden_messy"]
 
 pytestmark = [
@@ -80,7 +83,9 @@ class Golden:
             for f in self.truth["frames"]
         }
         fits = self.measured["wavefronts"]
-        assert {(fit["range_mm"], fit["channel"]) for fit in fits} == set(true)
+        assert {(fit["range_mm"], fit["channel"]) for fit in fits} == {
+            key for key in true if self.claim not in GREEN or key[1] == "G"
+        }
         return [
             (
                 np.array(f["waves_rms"]) - true[f["range_mm"], f["channel"]],
@@ -96,7 +101,8 @@ def golden(
 ) -> Golden:
     name = NAMES[request.param]
     session = tmp_path_factory.mktemp("golden") / "session"
-    import_and_fit(GOLDEN / name, session)
+    green = ["--channel", "G", "--name", "latest"] if request.param in GREEN else []
+    import_and_fit(GOLDEN / name, session, *green)
     folder = session / "results/latest"
     measured = json.loads((folder / "results.json").read_text())
     return Golden(
@@ -125,12 +131,19 @@ def test_a_point_spread_function_is_of_all_the_light_that_the_plan_states(
     golden: Golden, tmp_path: Path
 ) -> None:
     session, plan = golden.folder.parents[1], tmp_path / "plan.toml"
-    stated = (
-        "wavelength_nm = 540.0\nwidth_nm = 20"  # truly five wavelengths from 512 to 574 nm
-    )
-    plan.write_text(
-        (session / "plan.toml").read_text().replace("wavelength_nm = 540.0", stated)
-    )
+    found = golden.measured["model_parts"]
+    spread = [found[f"low_pass_filter.{axis}_px"]["value"] for axis in ("rows", "columns")]
+    stated = {
+        # truly five wavelengths from 512 to 574 nm
+        "wavelength_nm = 540.0": "width_nm = 20",
+        # as the whole session found: to find the filter again takes five times as long
+        "[sensor]": f"low_pass_filter = {{ spread_px = {spread} }}",
+    }
+    text = (session / "plan.toml").read_text()
+    for line, more in stated.items():
+        assert text.count(line) == 1
+        text = text.replace(line, f"{line}\n{more}")
+    plan.write_text(text)
     options = ["--range", "2160", "--channel", "G", "--name", "broad", "--quiet"]
     assert run(["fit", str(session), "--plan", str(plan), *options]) == 0
     (error,) = golden.psf_errors(session / "results/broad").values()
@@ -268,5 +281,5 @@ def test_the_diaphragm_is_found(golden: Golden) -> None:
 def test_the_obstruction_is_found(golden: Golden) -> None:
     obstruction = golden.measured["lens"]["pupil"]["obstruction"]
     true = golden.truth["pupil"]["obscuration"]
-    assert abs(obstruction["value"] - true) < 0.0006  # 0.0003 measured
+    assert abs(obstruction["value"] - true) < 0.0002  # 0.00011 measured
     assert abs(obstruction["value"] - true) < 3 * obstruction["std"]
