@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 
@@ -17,6 +18,7 @@ from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.setup import settings_for
 from labkit.drivers.simulated.world import Fault
 from labkit.plan import Plan
+from labkit.types import Floats32
 from tests.plans import SMALL, plan_text, simulated
 
 from .rails_in_trouble import DEVICES, Photographs
@@ -52,8 +54,24 @@ def small_bench(
     sensor = replace(
         settings.sensor, white_electrons_per_s=settings.sensor.white_electrons_per_s * light
     )
-    bench = Bench(replace(settings, sensor=sensor, halo_um=100.0), faults)
+    bench = OnceDrawn(replace(settings, sensor=sensor, halo_um=100.0), faults)
     return DeviceContext(shared=SharedParts({ADDRESS: bench}))
+
+
+class OnceDrawn(Bench):
+    """A bench that draws a picture, which has no noise, once for all tests of a process."""
+
+    drawn: ClassVar[dict[tuple[str, float, bytes, bytes], Floats32]] = {}
+
+    def _mosaic(self) -> Floats32:
+        # relative to white: it does not depend on the light's strength
+        sensor = replace(self.settings.sensor, white_electrons_per_s=1.0)
+        lens = repr(replace(self.settings, sensor=sensor))
+        pose, codes = self._to_pixels().tobytes(), self._codes.tobytes()
+        key = lens, self.range_mm, pose, codes
+        if key not in self.drawn:
+            self.drawn[key] = super()._mosaic()
+        return self.drawn[key]
 
 
 @pytest.fixture

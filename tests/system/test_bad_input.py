@@ -28,18 +28,26 @@ from labkit.plan import Plan
 from labkit.session.session import Session, begin
 from labkit.target import open_target
 
-from .conftest import ADDRESS, ContextMaker
+from .conftest import ADDRESS, PLAN, ContextMaker, small_bench
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A captured session."""
+    folder = tmp_path_factory.mktemp("captured")
+    (folder / "plan.toml").write_text(PLAN)
+    with (
+        begin(folder / "plan.toml", folder / "session", resume=False) as session,
+        open_devices(session.plan, context=small_bench(folder / "plan.toml")) as devices,
+    ):
+        run_plan(session, devices, check=False)
+    return folder / "session"
 
 
 @pytest.fixture
-def folder(plan_file: Path, tmp_path: Path, make_context: ContextMaker) -> Path:
-    """A captured session, to be spoilt."""
-    with (
-        begin(plan_file, tmp_path / "session", resume=False) as session,
-        open_devices(session.plan, context=make_context(plan_file)) as devices,
-    ):
-        run_plan(session, devices, check=False)
-    return tmp_path / "session"
+def folder(whole: Path, plan_file: Path, tmp_path: Path) -> Path:
+    """A copy of the captured session beside its plan, to be spoilt."""
+    return shutil.copytree(whole, tmp_path / "session")
 
 
 def refusal(args: list[str], capfd: pytest.CaptureFixture[str]) -> str:
