@@ -60,10 +60,8 @@ def run_and_kill(
     process = CLEAN.Process(target=run, args=(plan_file, folder, check))
     process.start()
     while process.is_alive() and journal_bytes(folder) < grown:
-        pass
-    until = time.perf_counter() + rng.uniform(0, 0.02)
-    while process.is_alive() and time.perf_counter() < until:
-        pass
+        time.sleep(0.0005)
+    process.join(rng.uniform(0, 0.02))
     process.kill()
     process.join()
     assert process.exitcode in (0, -signal.SIGKILL)
