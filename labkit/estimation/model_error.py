@@ -17,7 +17,6 @@ from labkit.estimation.local import Optimum
 from labkit.estimation.select import exact_lens
 from labkit.estimation.settings import SETTINGS
 from labkit.optics.wavefront import DEFOCUS
-from labkit.optics.zernike import twin_signs
 from labkit.types import Floats
 
 
@@ -26,7 +25,7 @@ def shift(optimum: Optimum, with_missing: Optimum) -> tuple[Floats, float]:
 
     Of two twins the nearer counts.
     """
-    near = _near(optimum, with_missing)
+    near = with_missing.nearest_to(optimum)
     return near.waves - optimum.waves, float(
         np.log(near.optics.f_number / optimum.optics.f_number)
     )
@@ -38,8 +37,8 @@ def confirmed(session: Estimate, index: int) -> bool:
     if optimum is complete or not complete.verdict.accepted:
         return False
     modes, _ = shift(optimum, complete)
-    above_defocus = [k for k, j in enumerate(optimum.noll) if j != DEFOCUS]
-    return float(np.linalg.norm(modes[above_defocus])) < SETTINGS.sure_waves
+    others = np.array(optimum.noll) != DEFOCUS
+    return float(np.linalg.norm(modes[others])) < SETTINGS.sure_waves
 
 
 def with_model_error(session: Estimate) -> Estimate:
@@ -53,7 +52,7 @@ def with_model_error(session: Estimate) -> Estimate:
         return session
     chosen: list[Measured | None] = [None] * len(lens.model.readings)
     for k in session.members:
-        complete = _near(session.fits[k].optimum, session.with_all_parts(k))
+        complete = session.with_all_parts(k).nearest_to(session.fits[k].optimum)
         chosen[session.row(k)] = complete.candidate.measured
     model, members = lens.model, lens.measured.used
     complete_lens = exact_lens(
@@ -69,9 +68,3 @@ def with_model_error(session: Estimate) -> Estimate:
     bias = Point(there - lens.theta, complete_lens.solved.point.own - lens.solved.point.own)
     bias_chi2 = complete_lens.solved.chi2 - lens.solved.chi2
     return replace(session, lens=replace(lens, bias=bias, bias_chi2=bias_chi2))
-
-
-def _near(optimum: Optimum, other: Optimum) -> Optimum:
-    """Return another optimum or its twin, whichever is nearer."""
-    even = twin_signs(optimum.noll) < 0
-    return other.twin() if optimum.waves[even] @ other.waves[even] < 0 else other
