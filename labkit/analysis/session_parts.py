@@ -20,8 +20,8 @@ from labkit.findings import (
     found,
     stated_model_moves,
 )
-from labkit.imaging.aperture import Aperture
-from labkit.imaging.optics import ESTIMATED, OPTIONAL_PARTS
+from labkit.imaging.parts import ESTIMATED, OPTIONAL_PARTS
+from labkit.imaging.parts.aperture import Aperture
 from labkit.optics.metrics import psf_difference, rms
 from labkit.optics.wavefront import FittedWavefront
 from labkit.optics.zernike import twin_signs

@@ -41,7 +41,7 @@ from labkit.estimation.laws import (
 )
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import Stated
-from labkit.imaging.optics import ESTIMATED
+from labkit.imaging.parts import ESTIMATED
 from labkit.optics.lens import USUAL_LOG_MAGNIFICATION, ThinLens, defocus_waves
 from labkit.optics.wavefront import DEFOCUS
 from labkit.types import Bools, Floats, Indices

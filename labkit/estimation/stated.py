@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labkit.imaging.aperture import Aperture
 from labkit.imaging.optics import Optics
 from labkit.imaging.parts import KNOWN
+from labkit.imaging.parts.aperture import Aperture
 from labkit.optics.lens import USUAL_LOG_MAGNIFICATION, Convention, ThinLens
 from labkit.optics.spectrum import Spectrum
 from labkit.plan import Plan

@@ -10,20 +10,14 @@ from itertools import chain
 import numpy as np
 
 from labkit.arrays import positive
-from labkit.imaging.aperture import Aperture
 from labkit.imaging.estimated import Estimated
 from labkit.imaging.parts import KNOWN, Part, SpectrumWidth, rim_of
+from labkit.imaging.parts.aperture import Aperture
 from labkit.imaging.window import window_for
-from labkit.mode_groups import MODE_GROUPS, ModeGroup
+from labkit.mode_groups import MODE_GROUPS
 from labkit.optics.rim import Rim
 from labkit.optics.spectrum import Spectrum
 from labkit.types import Floats
-
-ESTIMATED: dict[str, Estimated] = {**KNOWN, Aperture.name: Aperture()}
-"""Groups of numbers that results may hold, by name."""
-
-OPTIONAL_PARTS: dict[str, Part | ModeGroup] = {**KNOWN, **MODE_GROUPS}
-"""Parts and groups of modes that a session may add to its model, by name."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,14 +15,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from labkit.arrays import real_array
 from labkit.errors import TargetError
+from labkit.panel import USUAL_APERTURE
 from labkit.target import Target, distinct, low_pass
 from labkit.types import Floats
 
 STRIPES = 3
 """Colours of a pixel, side by side."""
-
-USUAL_APERTURE = 0.85
-"""Share of its third, and of the pitch along it, that a stripe is usually lit over."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ import numpy as np
 from labkit.optics.lens import ThinLens, ground_sample_mm
 from labkit.optics.mtf import mtf, pixel_mtf
 from labkit.optics.wavefront import FittedWavefront
-from labkit.panel.drawn_target import USUAL_APERTURE
+from labkit.panel import USUAL_APERTURE
 from labkit.plan import Plan
 
 LEAST_STRIPE_CONTRAST = 0.01

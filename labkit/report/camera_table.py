@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from labkit.imaging.optics import ESTIMATED, OPTIONAL_PARTS
+from labkit.imaging.parts import ESTIMATED, OPTIONAL_PARTS
 from labkit.optics.metrics import psf_difference
 from labkit.optics.strehl import strehl
-from labkit.report.best_focus import ChannelFocus
-from labkit.report.quantities import estimated, fixed
-from labkit.report.table import Column, Row, Table
+from labkit.report.curves import ChannelFocus
+from labkit.report.table import Column, Row, Table, estimated, fixed
 from labkit.results import Results
 
 BOUND = "a bound: no more, with 95 % confidence"

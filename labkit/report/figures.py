@@ -7,18 +7,27 @@ import numpy as np
 from labkit.figure_style import channel_inks, styled
 from labkit.optics.lens import defocus_waves
 from labkit.report import charts, pictures
-from labkit.report.best_focus import MTF_DIRECTIONS, ChannelFocus, full_nyquist_per_mm
-from labkit.report.budget_chart import budget_chart, variance_shares
-from labkit.report.camera_charts import spectrum_chart
-from labkit.report.curves import NEAREST_CURVE, Curves
+from labkit.report.charts import (
+    budget_chart,
+    modulation_chart,
+    mtf_chart,
+    pupil_chart,
+    spectrum_chart,
+    strehl_chart,
+    variance_shares,
+)
+from labkit.report.curves import (
+    MTF_DIRECTIONS,
+    NEAREST_CURVE,
+    ChannelFocus,
+    Curves,
+    full_nyquist_per_mm,
+)
 from labkit.report.focus_charts import defocus_chart, energy_chart, residual_chart
-from labkit.report.lens_table import SOURCES, budget_name
-from labkit.report.mtf_charts import mtf_chart
+from labkit.report.lens_tables import SOURCES, budget_name
 from labkit.report.photographs import Photographs
-from labkit.report.plates import Panel, Plate, chip, drawing, picture
-from labkit.report.pupil_chart import pupil_chart
-from labkit.report.quantities import estimated, fixed, millimetres, plus_minus
-from labkit.report.through_charts import modulation_chart, strehl_chart
+from labkit.report.pictures import Panel, Plate, chip, drawing, picture
+from labkit.report.table import estimated, fixed, millimetres, plus_minus
 from labkit.results import Residuals, Results, Wavefront
 from labkit.types import Floats
 

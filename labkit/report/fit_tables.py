@@ -7,8 +7,7 @@ from math import isfinite
 
 import numpy as np
 
-from labkit.report.quantities import UNKNOWN, estimated, fixed, plus_minus
-from labkit.report.table import Column, Row, Table
+from labkit.report.table import UNKNOWN, Column, Row, Table, estimated, fixed, plus_minus
 from labkit.results import Focus, OptimumTest, Results, Wavefront
 from labkit.results.verdicts import confirmed, model_word, optimum_word, stated
 from labkit.uncertain import Uncertain

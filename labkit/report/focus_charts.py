@@ -19,7 +19,7 @@ from labkit.figure_style import (
     scaling,
 )
 from labkit.report.curves import Curves
-from labkit.report.quantities import estimated, plus_minus
+from labkit.report.table import estimated, plus_minus
 from labkit.results import Focus, Results, Wavefront
 from labkit.results.best_focus import SHARE
 from labkit.types import Floats

@@ -14,8 +14,7 @@ import numpy as np
 from labkit.errors import LabkitError
 from labkit.photographs.decoding import read_photograph
 from labkit.photographs.exif import Exif, read_exif
-from labkit.report.quantities import UNKNOWN, fixed, when
-from labkit.report.table import Column, Row, Table
+from labkit.report.table import UNKNOWN, Column, Row, Table, fixed, when
 from labkit.results import Results, Wavefront
 from labkit.session.frame import Frame, in_words
 from labkit.session.session import Session

@@ -1,8 +1,12 @@
-"""Pictures: wavefront maps, point-spread functions, the target in the frame, and the chip beside model and residual."""
+"""Pictures of pixels, and the plates that figures stand on: wavefront maps, PSFs, the target in the frame, data and model."""
+
+from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from io import BytesIO
 from math import ceil, floor, log10
+from re import sub
 
 import numpy as np
 from matplotlib import colormaps
@@ -14,14 +18,64 @@ from matplotlib.patches import Circle
 from numpy.typing import NDArray
 from PIL import Image
 
-from labkit.figure_style import HALF_IN, INK, THIRD_IN, Ink, scaling
+from labkit.figure_style import HALF_IN, INK, THIRD_IN, Ink, png, scaling, svg
 from labkit.optics.lens import blur_per_wave_um
 from labkit.optics.metrics import opd_map, psf_value
 from labkit.optics.wavefront import FittedWavefront
 from labkit.report.photographs import Photographs
-from labkit.report.quantities import millimetres
+from labkit.report.table import millimetres
 from labkit.results import Residuals, Results, Wavefront
 from labkit.types import Floats
+
+MOST_COLOURS = 256
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """One picture: its file's name, its bytes, what it shows in words, and a heading where it bears none itself."""
+
+    file: str
+    content: bytes
+    alt: str
+    heading: str = ""
+    pixels: bool = False
+
+    @property
+    def media_type(self) -> str:
+        """Of the bytes."""
+        return "image/svg+xml" if self.file.endswith(".svg") else "image/png"
+
+
+@dataclass(frozen=True, slots=True)
+class Plate:
+    """Panels with one caption; across: how many stand side by side on a wide page."""
+
+    panels: tuple[Panel, ...]
+    caption: str
+    across: int = 2
+
+
+def drawing(name: str, figure: Figure, alt: str) -> Panel:
+    """A figure made of lines."""
+    return Panel(f"{_safe(name)}.svg", svg(figure), alt)
+
+
+def picture(name: str, figure: Figure, alt: str) -> Panel:
+    """A figure made of pixels; with 256 colours it takes a quarter, and no more can be told apart in it."""
+    image = Image.open(BytesIO(png(figure))).convert("RGB")
+    buffer = BytesIO()
+    image.quantize(MOST_COLOURS, dither=Image.Dither.NONE).save(buffer, "PNG")
+    return Panel(f"{_safe(name)}.png", buffer.getvalue(), alt)
+
+
+def chip(name: str, content: bytes, alt: str, heading: str) -> Panel:
+    """A photograph's pixels as they are."""
+    return Panel(f"{_safe(name)}.png", content, alt, heading, pixels=True)
+
+
+def _safe(name: str) -> str:
+    return sub(r"[^A-Za-z0-9.+_-]", "-", name)
+
 
 RESIDUAL_LIMIT = 4.0  # standard deviations
 MAP_SAMPLES = 161  # across the pupil

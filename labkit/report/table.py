@@ -1,13 +1,86 @@
-"""A table of the report: each number has its standard error, or its column or row the reason why it has none.
+"""A table of the report, and its numbers as text.
 
-Reasons are marked by letters and stand below the table; `tests/unit/test_report_numbers.py` walks the page and holds it.
+Each number has its standard error, or its column or row the reason why it has none. Reasons are marked by letters and stand
+below the table; `tests/unit/test_report_numbers.py` walks the page and holds it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from datetime import datetime, timedelta
+from math import isfinite, isinf
 from string import ascii_lowercase
+
+from labkit.uncertain import SIGN_OPEN, Uncertain, decimals
+
+MINUS = "\N{MINUS SIGN}"
+NAMES_OF_MONTHS = (
+    "January February March April May June July August September October November December"
+)
+MONTHS = tuple(NAMES_OF_MONTHS.split())  # not by the locale: the page is in English
+UNKNOWN = "\N{EM DASH}"
+MOST_PLACES = 9
+NO_ERROR = "\N{NO-BREAK SPACE}(error\N{NO-BREAK SPACE}unknown)"
+PLUS_MINUS = "\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}"  # never parted from its numbers at the end of a line
+
+
+def fixed(value: float | None, places: int) -> str:
+    """A number to so many decimal places; a dash where there is none."""
+    if value is None or not isfinite(value):
+        return UNKNOWN
+    text = f"{value:.{places}f}"
+    return (text if float(text) else text.lstrip("-")).replace("-", MINUS)
+
+
+def plus_minus(value: float, std: float, places: int | None = None) -> str:
+    """A number and its standard error to the same decimal place, never ± 0.00; in words that the error is not known."""
+    if isinf(std):
+        return "not determined"
+    if not std > 0:
+        return fixed(value, 4 if places is None else places) + NO_ERROR
+    enough = decimals(std, MOST_PLACES)
+    places = enough if places is None or std < 0.95 * 10.0**-places else places
+    error = fixed(std, places) if std >= 0.5 * 10.0**-places else f"{std:.1e}"
+    return f"{fixed(value, places)}{PLUS_MINUS}{error}"
+
+
+def estimated(number: Uncertain | None, factor: float = 1.0, *, least: int = 0) -> str:
+    """An estimate times a factor, to the decimal places of its error but no fewer than least; a dash where there is none.
+
+    An estimate of open sign has "±" in place of it.
+    """
+    if number is None:
+        return UNKNOWN
+    value, std = number.value * factor, number.std * abs(factor)
+    known = isfinite(std) and std > 0
+    text = plus_minus(
+        abs(value) if number.sign_open else value,
+        std,
+        max(least, decimals(std)) if known else max(least, 1 if abs(value) >= 10 else 3),
+    )
+    return f"±{text}, {SIGN_OPEN}" if number.sign_open else text
+
+
+def when(iso: str) -> str:
+    """A moment as a reader writes it: "22 November 2026, 06:28 UTC"; as it stands where it is none."""
+    try:
+        at = datetime.fromisoformat(iso)
+    except ValueError:
+        return iso
+    zone = (
+        ""
+        if at.tzinfo is None
+        else " UTC"
+        if at.utcoffset() == timedelta(0)
+        else f" UTC{at.isoformat()[-6:]}"
+    )
+    return f"{at.day} {MONTHS[at.month - 1]} {at.year}, {at:%H:%M}{zone}"
+
+
+def millimetres(range_mm: float | None) -> str:
+    """A range with its unit, or that there is none."""
+    return "no range" if range_mm is None else f"{range_mm:g} mm"
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ from labkit.plan import Plan
 from labkit.results import storage, tables, verdicts
 from labkit.results.colour import ColourShift, longitudinal_colour
 from labkit.results.model import Focus, Lens, PartTried, Wavefront
-from labkit.results.summary import ChannelSummary, channel_summary
+from labkit.results.tables import ChannelSummary, channel_summary
 from labkit.uncertain import Uncertain
 from labkit.version import __version__
 

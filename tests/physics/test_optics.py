@@ -15,8 +15,7 @@ from scipy.special import j1
 
 from labkit.experiments.methods.shaded_aperture import disc_area
 from labkit.optics.lens import ThinLens, circle_of_confusion_mm, defocus_waves
-from labkit.optics.psf import Pupil, diffraction_mtf
-from labkit.optics.pupil import smooth_disc
+from labkit.optics.psf import Pupil, diffraction_mtf, smooth_disc
 from labkit.optics.zernike import is_even, zernike
 from labkit.types import Floats
 

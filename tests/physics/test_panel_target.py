@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from labkit.errors import TargetError
-from labkit.imaging.aperture import Aperture
 from labkit.imaging.model import ForwardModel
+from labkit.imaging.parts.aperture import Aperture
 from labkit.panel.drawn_target import PanelTarget
 from labkit.target import CellTarget, low_pass
 from labkit.types import Floats

@@ -13,7 +13,7 @@ from labkit.imaging.blur import Blur
 from labkit.imaging.grid import Torus
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.parts import Diffusion, LowPass, Part, Smear, SpectrumWidth, Veil
-from labkit.imaging.parts.veil import BROADEST_PX, NARROWEST_PX
+from labkit.imaging.parts.blur import BROADEST_PX, NARROWEST_PX
 from labkit.optics.psf import Pupil
 from labkit.optics.spectrum import WIDEST_SPECTRUM, Spectrum
 from labkit.types import Floats

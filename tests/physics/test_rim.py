@@ -14,8 +14,7 @@ from labkit.imaging.blur import Blur
 from labkit.imaging.grid import Torus
 from labkit.imaging.optics import Optics
 from labkit.imaging.parts import Blades, Obstruction, Part, UnevenRim, rim_of
-from labkit.optics.psf import Pupil, diffraction_mtf
-from labkit.optics.pupil import OUTLINE_REACH, smooth_outline
+from labkit.optics.psf import OUTLINE_REACH, Pupil, diffraction_mtf, smooth_outline
 from labkit.optics.rim import ROUND, ROUND_RIM, Circle, Diaphragm, Rim
 from labkit.optics.zernike import twin_signs
 from labkit.types import Complexes, Floats

@@ -45,8 +45,7 @@ from labkit.optics.lens import (
     defocus_waves,
     ground_sample_mm,
 )
-from labkit.optics.psf import Pupil, diffraction_mtf
-from labkit.optics.pupil import smooth_disc
+from labkit.optics.psf import Pupil, diffraction_mtf, smooth_disc
 from labkit.optics.zernike import zernike
 from labkit.target import CellTarget
 from labkit.targets.slanted_edge import SlantedEdge

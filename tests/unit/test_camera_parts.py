@@ -14,11 +14,10 @@ from labkit.estimation.expansion import free_f_number
 from labkit.estimation.scores import score_tests
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import optics_of, wanted_parts
-from labkit.imaging.aperture import Aperture
 from labkit.imaging.estimated import root
 from labkit.imaging.model import ForwardModel
-from labkit.imaging.optics import ESTIMATED
 from labkit.imaging.parts import (
+    ESTIMATED,
     KNOWN,
     Blades,
     CatsEye,
@@ -31,7 +30,8 @@ from labkit.imaging.parts import (
     UnevenRim,
     Veil,
 )
-from labkit.imaging.parts.obstruction import USUAL_SHARE
+from labkit.imaging.parts.aperture import Aperture
+from labkit.imaging.parts.rim import USUAL_SHARE
 from labkit.optics.spectrum import Spectrum
 from labkit.plan import Channel, Plan
 from labkit.report.camera_table import part_table

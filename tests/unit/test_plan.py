@@ -15,8 +15,8 @@ from labkit.imaging.parts import (
     SpectrumWidth,
     Veil,
 )
-from labkit.imaging.parts.obstruction import USUAL_SHARE
-from labkit.imaging.parts.veil import BROADEST_PX, NARROWEST_PX, SCALE_PX
+from labkit.imaging.parts.blur import BROADEST_PX, NARROWEST_PX, SCALE_PX
+from labkit.imaging.parts.rim import USUAL_SHARE
 from labkit.optics.spectrum import WIDEST_SPECTRUM, Spectrum
 from labkit.plan import Plan
 from labkit.plan.tables import WIDEST_LIGHT

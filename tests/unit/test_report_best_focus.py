@@ -7,18 +7,18 @@ import pytest
 
 from labkit.figure_style import CHANNEL_INKS
 from labkit.optics.psf import diffraction_mtf
-from labkit.report.best_focus import (
+from labkit.report.charts import modulation_chart, mtf_chart, strehl_chart
+from labkit.report.curves import (
     ChannelFocus,
+    Curves,
     at_best_focus,
+    curves_of,
     full_nyquist_per_mm,
     plane_nyquist_per_mm,
 )
-from labkit.report.curves import Curves, curves_of
 from labkit.report.focus_charts import energy_chart
-from labkit.report.focus_table import depth_table, focus_table
-from labkit.report.mtf_charts import mtf_chart
+from labkit.report.lens_tables import depth_table, focus_table
 from labkit.report.pictures import map_limit, opd_picture
-from labkit.report.through_charts import modulation_chart, strehl_chart
 from labkit.results import Focus, Wavefront
 from labkit.uncertain import Uncertain
 from tests.results_samples import PLAN, a_wavefront, some_results

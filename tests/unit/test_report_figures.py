@@ -11,7 +11,7 @@ from scipy import special
 from labkit.figure_style import CHANNEL_INKS, channel_inks
 from labkit.report.charts import residual_quantiles
 from labkit.report.pictures import chip_image
-from labkit.report.quantities import estimated, fixed, plus_minus, when
+from labkit.report.table import estimated, fixed, plus_minus, when
 from labkit.results import Residuals
 
 

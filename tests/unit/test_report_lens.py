@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from labkit.optics.lens import ThinLens
-from labkit.report.budget_chart import budget_chart, variance_shares
+from labkit.report.charts import budget_chart, variance_shares
 from labkit.report.contents import contents
 from labkit.report.focus_charts import defocus_chart, residual_chart
-from labkit.report.lens_table import budget_table, lens_table, working_f_number
+from labkit.report.lens_tables import budget_table, lens_table, working_f_number
 from labkit.report.photographs import Photographs
 from labkit.results import Wavefront
 from labkit.uncertain import Uncertain

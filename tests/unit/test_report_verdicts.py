@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from labkit.figure_style import channel_inks
-from labkit.report.best_focus import at_best_focus
 from labkit.report.charts import zernike_chart
-from labkit.report.curves import curves_of
+from labkit.report.curves import at_best_focus, curves_of
 from labkit.report.figures import _at_best_focus
 from labkit.report.html import write_report
 from labkit.results import Wavefront

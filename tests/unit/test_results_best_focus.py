@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from labkit.optics.strehl import strehl
-from labkit.report.best_focus import at_best_focus
+from labkit.report.curves import at_best_focus
 from labkit.results import BestFocus, Focus, Lens, Results
 from labkit.results.colour import longitudinal_colour
 from labkit.types import Floats

@@ -12,10 +12,10 @@ from labkit.estimation.climb import Problem, Start
 from labkit.estimation.expansion import Freed, free_f_number, with_modes
 from labkit.estimation.scores import ScoreTest, score_tests, twin_scores
 from labkit.estimation.settings import SETTINGS
-from labkit.imaging.aperture import Aperture
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.parts import KNOWN, Diffusion, LowPass, Part, SpectrumWidth, Veil
-from labkit.imaging.parts.veil import SCALE_PX
+from labkit.imaging.parts.aperture import Aperture
+from labkit.imaging.parts.blur import SCALE_PX
 from labkit.mode_groups import MODE_GROUPS
 from labkit.optics.spectrum import Spectrum
 from tests.unit.test_cone import CARPET, FRAME, OPTICS, POSE, TRUTH, photographed

@@ -1,18 +1,18 @@
-"""Parts of camera and lens that blur, each in a file. A new part is a file and an entry in `KNOWN`."""
+"""Parts of camera and lens that blur, in a file for each kind. A new part is a class and an entry in `KNOWN`."""
 
-from labkit.imaging.parts.blades import Blades
-from labkit.imaging.parts.cats_eye import CatsEye
-from labkit.imaging.parts.diffusion import Diffusion
-from labkit.imaging.parts.low_pass import LowPass
-from labkit.imaging.parts.obstruction import Obstruction
+from labkit.imaging.estimated import Estimated
+from labkit.imaging.parts.aperture import Aperture
+from labkit.imaging.parts.blur import Diffusion, LowPass, Smear, Veil
 from labkit.imaging.parts.part import Part, rim_of
-from labkit.imaging.parts.smear import Smear
+from labkit.imaging.parts.rim import Blades, CatsEye, Obstruction, UnevenRim
 from labkit.imaging.parts.spectrum import SpectrumWidth
-from labkit.imaging.parts.uneven_rim import UnevenRim
-from labkit.imaging.parts.veil import Veil
+from labkit.mode_groups import MODE_GROUPS, ModeGroup
 
 __all__ = [
+    "ESTIMATED",
     "KNOWN",
+    "OPTIONAL_PARTS",
+    "Aperture",
     "Blades",
     "CatsEye",
     "Diffusion",
@@ -42,3 +42,9 @@ KNOWN: dict[str, Part] = {
     )
 }
 """Parts that camera and lens may have, by name, the commonest first; each does nothing yet."""
+
+ESTIMATED: dict[str, Estimated] = {**KNOWN, Aperture.name: Aperture()}
+"""Groups of numbers that results may hold, by name."""
+
+OPTIONAL_PARTS: dict[str, Part | ModeGroup] = {**KNOWN, **MODE_GROUPS}
+"""Parts and groups of modes that a session may add to its model, by name."""

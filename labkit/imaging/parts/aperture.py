@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Self
 
 from labkit.imaging.estimated import Estimated
-from labkit.panel.drawn_target import USUAL_APERTURE
+from labkit.panel import USUAL_APERTURE
 from labkit.plan import Channel, Plan
 from labkit.uncertain import Uncertain
 

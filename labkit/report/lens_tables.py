@@ -1,0 +1,418 @@
+"""Tables of the lens: at best focus, through focus, its modes, its numbers and the sources of their errors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from math import isfinite, sqrt
+
+import numpy as np
+
+from labkit.optics import metrics
+from labkit.optics.metrics import Directed
+from labkit.optics.orders import noll_to_fringe, noll_to_osa
+from labkit.optics.rim import Rim
+from labkit.optics.through_focus import DEPTH, sensor_shift_um
+from labkit.optics.wavefront import DEFOCUS
+from labkit.optics.zernike import mode_name
+from labkit.report.curves import ChannelFocus, Curves
+from labkit.report.table import (
+    MINUS,
+    UNKNOWN,
+    Column,
+    Row,
+    Table,
+    channel_columns,
+    estimated,
+    fixed,
+    millimetres,
+)
+from labkit.results import Results, Wavefront
+from labkit.results.best_focus import SHARE
+from labkit.results.tables import NOT_FITTED
+from labkit.results.verdicts import confirmed, stated
+from labkit.uncertain import Uncertain, decimals
+
+PERFECT = "diffraction limit of this pupil"
+NO_LIMIT = "beyond any range"  # of a lens focused so far away that infinity is still sharp
+PITCH_NOTE = "by the pixel pitch, which the plan states without an error"
+
+Cell = Callable[[ChannelFocus], str]
+
+
+def focus_table(focused: Sequence[ChannelFocus], reference_nm: float) -> Table:
+    """Strehl ratio, wavefront, MTF and energy of each channel without its defocus."""
+    within = f"EE{100 * SHARE:.0f}, encircled energy"
+    at = "at the reference wavelength"
+
+    def row(name: str, unit: str, cell: Cell, **kind: object) -> Row:
+        holds = name == PERFECT or kind.get("exact") or kind.get("why")
+        cells = tuple(cell(b) if b.fitted.noll or holds else NOT_FITTED for b in focused)
+        return Row((name, unit, *cells), **kind)  # type: ignore[arg-type]
+
+    rows = (
+        row(
+            "From the photographs at",
+            "",
+            lambda b: millimetres(b.photographed.range_mm),
+            exact=True,
+            beside=True,
+        ),
+        row("Strehl ratio", "", lambda b: estimated(b.best.strehl, least=3), first=True),
+        row("RMS", "nm", lambda b: estimated(b.best.rms_nm), first=True),
+        row("in its own light", "waves", _own_waves, beside=True),
+        row(at, "waves", lambda b: estimated(b.best.rms, least=4), beside=True),
+        row("P–V", "nm", lambda b: estimated(b.best.peak_to_valley, reference_nm)),
+        row(at, "waves", lambda b: estimated(b.best.peak_to_valley, least=3), beside=True),
+        row(
+            "Astigmatism", "waves RMS", lambda b: _magnitude(b.best.astigmatism), first=True
+        ),
+        row("at", "degrees", lambda b: _angle(b.best.astigmatism), beside=True),
+        row("Coma", "waves RMS", lambda b: _magnitude(b.best.coma)),
+        row("at", "degrees", lambda b: _angle(b.best.coma), beside=True),
+        row("Trefoil", "waves RMS", lambda b: _magnitude(b.best.trefoil)),
+        row("at", "degrees", lambda b: _angle(b.best.trefoil), beside=True),
+        *_mtf_rows(row),
+        row(within, "µm radius", lambda b: estimated(b.best.energy_radius()), first=True),
+        row(
+            PERFECT,
+            "µm radius",
+            lambda b: _ideal(b.best.ideal.energy_radius()),
+            beside=True,
+        ),
+    )
+    return Table((*FOCUS_COLUMNS, *channel_columns([b.channel for b in focused])), rows)
+
+
+def _mtf_rows(row: Callable[..., Row]) -> tuple[Row, ...]:
+    """Return MTF50 and the MTF at Nyquist's frequency, of the optics and with the pixel."""
+    return (
+        row(
+            "MTF50 of the optics along x",
+            "cycles/mm",
+            lambda b: estimated(b.mtf50("x")),
+            first=True,
+        ),
+        row("along y", "cycles/mm", lambda b: estimated(b.mtf50("y"))),
+        row(
+            PERFECT,
+            "cycles/mm",
+            lambda b: _ideal(b.best.ideal.mtf50("x")),
+            beside=True,
+        ),
+        row(
+            "MTF50 with the pixel along x",
+            "cycles/mm",
+            lambda b: estimated(b.camera_mtf50("x")),
+        ),
+        row("along y", "cycles/mm", lambda b: estimated(b.camera_mtf50("y"))),
+        row(
+            "Nyquist of its own pixels",
+            "cycles/mm",
+            lambda b: fixed(b.nyquist_per_mm, 1),
+            why=PITCH_NOTE,
+            first=True,
+        ),
+        row(
+            "MTF there, optics along x", "", lambda b: estimated(b.at_nyquist("x"), least=3)
+        ),
+        row("along y", "", lambda b: estimated(b.at_nyquist("y"), least=3)),
+        row(
+            PERFECT,
+            "",
+            lambda b: _ideal(b.best.ideal.mtf_at(b.nyquist_per_mm, "x")),
+            beside=True,
+        ),
+        row(
+            "MTF there, with the pixel along x",
+            "",
+            lambda b: estimated(b.camera_at_nyquist("x"), least=3),
+        ),
+        row("along y", "", lambda b: estimated(b.camera_at_nyquist("y"), least=3)),
+    )
+
+
+FOCUS_COLUMNS = (Column("at best focus", text=True), Column("", text=True))
+
+
+def depth_table(curves: Sequence[Curves], results: Results) -> Table:
+    """Where the Strehl ratio keeps to 0.8 of its highest, of each channel."""
+    errors = results.focus.best_focus_mm if results.focus else {}
+    unit = "mm" if all(c.in_ranges for c in curves) else "µm"
+
+    def row(name: str, unit: str, cell: Callable[[Curves], str], **kind: object) -> Row:
+        return Row((name, unit, *(cell(c) for c in curves)), **kind)  # type: ignore[arg-type]
+
+    def at(curve: Curves, which: str) -> str:
+        if curve.depth is None:
+            return NO_LIMIT
+        focus_std = errors[curve.channel].std if curve.in_ranges else 0.0
+        return _place(curve.placed(getattr(curve.depth, which), focus_std))
+
+    rows = (
+        row("Best focus: least RMS", unit, lambda c: _best(c, errors)),
+        row("Highest Strehl ratio at", unit, lambda c: at(c, "highest"), beside=True),
+        row("Depth of focus from", unit, lambda c: at(c, "near"), first=True),
+        row("to", unit, lambda c: at(c, "far")),
+        row("on the sensor", "µm", _on_sensor),
+    )
+    return Table(
+        (
+            Column(f"Strehl ratio ≥ {DEPTH:g} of its highest", text=True),
+            Column("", text=True),
+            *_channels(curves),
+        ),
+        rows,
+    )
+
+
+def _channels(curves: Sequence[Curves]) -> list[Column]:
+    return list(channel_columns([c.channel for c in curves]))
+
+
+def _best(curve: Curves, errors: dict[str, Uncertain]) -> str:
+    return estimated(errors[curve.channel]) if curve.in_ranges else "origin"
+
+
+def _place(place: Uncertain) -> str:
+    return estimated(place) if isfinite(place.value) else NO_LIMIT
+
+
+def _on_sensor(curve: Curves) -> str:
+    """The depth as a way of the sensor, 8 N^2 times a path: twice the relative error of the cone."""
+    if curve.depth is None:
+        return NO_LIMIT
+    fitted, span = curve.focus.fitted, curve.depth.span
+    factor = sensor_shift_um(fitted, 1.0)
+    cone = 2 * fitted.f_number_relative_std * span.value
+    return estimated(Uncertain(span.value, (span.std**2 + cone**2) ** 0.5), factor)
+
+
+def _own_waves(of: ChannelFocus) -> str:
+    return estimated(of.best.rms_own_waves, least=4)
+
+
+def _ideal(number: Uncertain) -> str:
+    """A perfect lens of this cone: its number is as sure as the f-number."""
+    return estimated(number, least=3 if number.value < 1 else 1)
+
+
+def _magnitude(pair: Directed | None) -> str:
+    return NOT_FITTED if pair is None else estimated(pair.magnitude, least=4)
+
+
+def _angle(pair: Directed | None) -> str:
+    return NOT_FITTED if pair is None else estimated(pair.angle_deg, least=1)
+
+
+SOURCES = {
+    "photons": "light and read noise of the photographs",
+    "calibration": "light and read noise of the flats",
+    "geometry": "engravings, tape, rail, and sizes of target and picture",
+    "model": "wavelengths, and how far a real lens departs from the laws",
+}
+"""Of errors, in the order they are drawn, and what each holds."""
+
+LENS_NAMES = {
+    "best_focus_mm": ("best focus", "mm"),
+    "focal_length_mm": ("focal length", "mm"),
+    "f_number": ("f-number at infinity", ""),
+    "pupil_magnification": ("pupil magnification", ""),
+    "range_zero_mm": ("true ranges less stated", "mm"),
+}
+"""Keys of a budget, what they are called, and their units."""
+
+
+def lens_table(results: Results) -> Table | None:
+    """What was measured beside what the plan stated, channels in groups; None where the lens was not estimated."""
+    lens, focus, plan = results.lens, results.focus, results.plan
+    if lens is None:
+        return None
+    stated, zero = plan.lens, Uncertain(0.0, plan.fit.range_zero_std_mm)
+    cones = {channel: working_f_number(results, channel) for channel in results.channels}
+    rows = (
+        _row("Focal length", "mm", lens.focal_length, stated.stated_focal_length),
+        _row("f-number at infinity", "", lens.f_number, stated.stated_f_number),
+        *_full_pupil(results.wavefronts[0].rim, lens.f_number),
+        _row("Pupil magnification", "", lens.pupil_magnification),
+        _row("True ranges less stated", "mm", lens.range_zero, zero),
+        *_rows_by_channel("Best focus, mm", focus.best_focus_mm if focus else {}),
+        *_rows_by_channel("f-number at the sensor", cones),
+    )
+    columns = (
+        Column("quantity", text=True),
+        Column("", text=True),
+        Column("measured"),
+        Column("stated"),
+    )
+    return Table(columns, rows, strong=2, channels=1)
+
+
+def _full_pupil(rim: Rim, f_number: Uncertain) -> list[Row]:
+    """The f-number of the circle around a pupil that is no clear disc."""
+    if rim.is_round:
+        return []
+    outer = Uncertain(f_number.value / rim.outer, f_number.std / rim.outer)
+    row = _row("of the full pupil", "", outer)
+    return [Row(row.cells, beside=True)]
+
+
+def working_f_number(results: Results, channel: str) -> Uncertain:
+    """Of the cone that reaches the sensor: one for all ranges of a channel, from the wavefront that knows it best."""
+    cones = [w.working_f_number for w in results.of_channel(channel)]
+    return min(cones, key=lambda cone: cone.std if isfinite(cone.std) else float("inf"))
+
+
+def budget_table(results: Results) -> Table | None:
+    """Standard error by source in the order of `SOURCES`, and the whole; a row for each number. None without a budget."""
+    if not results.budget:
+        return None
+    rows = []
+    for key, shares in results.budget.items():
+        name, unit = budget_name(key)
+        whole = whole_std(shares)
+        # one digit more than the whole has: what is a tenth of it is seen to be
+        digits = decimals(whole) + 1
+        cells = [_share(shares.get(source, 0.0), digits) for source in SOURCES]
+        rows.append(Row((name, unit, *cells, fixed(whole, digits))))
+    errors = [Column(source, exact=True) for source in (*SOURCES, "all")]
+    columns = (Column("standard error of", text=True), Column("", text=True), *errors)
+    return Table(columns, tuple(rows), strong=len(columns) - 1)
+
+
+def _share(std: float, digits: int) -> str:
+    """A standard error; below the last digit that it is, unless it is none."""
+    least = 10.0**-digits
+    return fixed(std, digits) if std == 0 or std >= least / 2 else f"< {least:.{digits}f}"
+
+
+def budget_name(key: str) -> tuple[str, str]:
+    """What a budget's number is called, its channel named, and its unit."""
+    quantity, _, channel = key.partition(".")
+    name, unit = LENS_NAMES.get(quantity, (quantity.replace("_", " "), ""))
+    return (f"{name}, {channel}" if channel else name), unit
+
+
+def whole_std(shares: dict[str, float]) -> float:
+    """The standard error that the sources make together."""
+    return sqrt(sum(share**2 for share in shares.values()))
+
+
+def _rows_by_channel(name: str, measured: Mapping[str, Uncertain]) -> list[Row]:
+    """One row for each channel; only the first has the name."""
+    rows = [
+        _row("" if k else name, channel, number)
+        for k, (channel, number) in enumerate(measured.items())
+    ]
+    return [Row(row.cells, first=k == 0) for k, row in enumerate(rows)]
+
+
+def _row(name: str, unit: str, measured: Uncertain, stated: Uncertain | None = None) -> Row:
+    return Row(
+        (name, unit, estimated(measured), UNKNOWN if stated is None else estimated(stated))
+    )
+
+
+ALIKE = 1e-6
+"""Waves: modes nearer than this are one estimate for all ranges, written twice."""
+
+
+def path_table(results: Results, without: tuple[int, ...] = ()) -> Table:
+    """RMS and P-V of each range and channel, in waves and nanometres. without: Noll modes to leave out."""
+    columns = (
+        Column("range", "mm", exact=True),
+        Column("channel", text=True),
+        Column("RMS", "waves"),
+        Column("", "nm"),
+        Column("P–V", "waves"),
+        Column("", "nm"),
+    )
+    rows = [
+        Row(_path_cells(w, without, known=confirmed(w, results.wavefronts)), first=k == 0)
+        for range_mm in results.ranges_mm
+        for k, w in enumerate(results.at_range(range_mm))
+    ]
+    return Table(columns, tuple(rows), channels=1)
+
+
+def _path_cells(w: Wavefront, without: tuple[int, ...], *, known: bool) -> tuple[str, ...]:
+    cells = ["none" if w.range_mm is None else f"{w.range_mm:g}", w.channel]
+    for measure, least in ((metrics.rms, 4), (metrics.peak_to_valley, 3)):
+        number = stated(measure(w.fitted, without), known=known)
+        cells += [
+            estimated(number, least=least),
+            estimated(number, w.reference_wavelength_nm),
+        ]
+    return tuple(cells)
+
+
+def mode_table(focused: Sequence[ChannelFocus], unit: str, factor: float = 1.0) -> Table:
+    """Each mode at best focus, of each channel, with its OSA and Fringe index. factor: of the unit to waves."""
+    columns = [
+        Column("Noll", exact=True),
+        Column("OSA", exact=True),
+        Column("Fringe", exact=True),
+        Column("mode", text=True, exact=True),
+    ]
+    columns += channel_columns([best.channel for best in focused], unit)
+    modes = sorted({j for best in focused for j in best.fitted.noll})
+    rows = []
+    for j in modes:
+        cells = [str(j), str(noll_to_osa(j)), str(noll_to_fringe(j)), mode_name(j)]
+        numbers = [_coefficient(best, j) for best in focused]
+        cells += [
+            estimated(number, factor, least=4 if factor == 1 else 1) for number in numbers
+        ]
+        rows.append(Row(tuple(cells)))
+    return Table(tuple(columns), tuple(rows))
+
+
+def difference_table(results: Results, focused: Sequence[ChannelFocus]) -> Table | None:
+    """Of each range, by how much each mode but defocus differs from that at best focus; None where none does.
+
+    Estimates of two ranges are independent; a session's estimate has one set of modes for all.
+    """
+    rows = []
+    for best in focused:
+        here = best.photographed
+        for w in results.of_channel(here.channel):
+            if w is not here:
+                rows += _differences(here, w)
+    if not rows:
+        return None
+    columns = (
+        Column("channel", text=True),
+        Column("range", "mm", exact=True),
+        Column("mode", text=True, exact=True),
+        Column("difference", "waves RMS"),
+        Column("in standard errors", exact=True),
+    )
+    return Table(columns, tuple(rows), channels=0)
+
+
+def _differences(here: Wavefront, other: Wavefront) -> list[Row]:
+    rows = list[Row]()
+    for j in here.noll:
+        if j == DEFOCUS or j not in other.noll:
+            continue
+        one, two = here[j], other[j]
+        if one.sign_open or two.sign_open:
+            continue
+        if abs(two.value - one.value) < ALIKE:
+            continue
+        difference = Uncertain(two.value - one.value, float(np.hypot(one.std, two.std)))
+        where = "none" if other.range_mm is None else f"{other.range_mm:g}"
+        ratio = difference.value / difference.std if difference.std > 0 else float("nan")
+        cells = (
+            here.channel,
+            where,
+            f"{j}, {mode_name(j)}",
+            estimated(difference, least=4),
+            f"{ratio:+.1f}".replace("-", MINUS),
+        )
+        rows.append(Row(cells, first=not rows))
+    return rows
+
+
+def _coefficient(focus: ChannelFocus, j: int) -> Uncertain | None:
+    w = focus.photographed
+    return stated(w[j], known=focus.unsure is None) if j in w.noll else None
