@@ -121,12 +121,12 @@ TEXTS = {
     # session and photographs
     "session-mended": "{note}",
     "kept-fits-refused": (
-        "{count} of the fits kept in {folder} were altered, or made by another user or on another machine: they were "
-        "fitted anew"
+        "{count} of the fits stored in {folder} were altered, or made by another user or on another machine: they were "
+        "fitted again"
     ),
     "photographs-unlisted": (
-        "{count} photographs in {folder} are not used, {first} for one, for no line of the journal commits them: it has "
-        "lost its end, or they were put there; labkit verify names them"
+        "{count} photographs in {folder} are not used, such as {first}: the journal does not list them. Its end is lost, or "
+        "somebody added the files; labkit verify names them"
     ),
     "same-photograph": "{file} is the same photograph as {same_as}: it counts once",
     "exif-focal-length": (
@@ -138,54 +138,54 @@ TEXTS = {
         "or take photographs of that aperture"
     ),
     "settings-differ": (
-        "the photographs differ in {setting}: {first_file} has {first}, {file} {other} by their EXIF; a session is of "
-        "one lens at one setting: make one of each"
+        "the photographs differ in {setting}: {first_file} has {first}, {file} {other} by their EXIF; a session has "
+        "one lens at one setting: make a session for each"
     ),
     "picture-altered": "{note}",
     "picture-processed": (
         "processed pictures ({file_format}, {bits} bit), {tone_curve}: demosaicing, sharpening and noise reduction are "
-        "part of the PSF that is reported, and errors are larger than stated, for neighbouring pixels share their "
-        "noise; use raw files where there are any"
+        "part of the reported PSF, and errors are larger than stated, because neighbouring pixels share "
+        "noise; use raw files if possible"
     ),
     "colours-at-half-resolution": (
-        "JPEG stores its colours at half resolution: R and B are blurred by that; take channel G alone, or JPEGs "
+        "JPEG stores its colours at half resolution: R and B are blurred; use channel G alone, or JPEGs "
         "without subsampling (4:4:4)"
     ),
     "panel-pixels-seen": (
-        "the panel's own pixels are seen, {pitch_mm:.4g} mm apart with {contrast:.0%} of contrast, and the plan has no "
-        "[target.pixels], so fits would lack them: add {to_add} to [target]"
+        "the photographs resolve the panel's own pixels, {pitch_mm:.4g} mm apart with {contrast:.0%} of contrast, and the "
+        "plan has no [target.pixels]: add {to_add} to [target]"
     ),
     "surround-contradicted": (
-        'the plan has target.surround = "{surround}", but what lies around the target is {level:.0%} as light as its white: '
-        'write "{other}", or "unknown" where it is neither'
+        'the plan has target.surround = "{surround}", but the target\'s surround has {level:.0%} of the radiance of its '
+        'white: write "{other}", or "unknown" for neither'
     ),
     # flats and darks
     "no-dark-frames": (
-        "no dark frames: the black level of the files (or the plan) is used, and hot pixels are not known"
+        "no dark frames: the black level of the files (or the plan) is used, and hot pixels are unknown"
     ),
     "bias-instead-of-darks": "no dark frames: bias frames are used instead, and dark current is neglected",
-    "dark-exposure-differs": "dark and target frames differ in exposure time: dark current may be off",
+    "dark-exposure-differs": "dark and target frames differ in exposure time: dark current may be wrong",
     "no-flat-frames": (
         "no flat frames: uneven light is fitted as a low-order polynomial, with gain and read noise; all pixels are "
         "assumed to be equal"
     ),
     "flats-of-another-range": "no flat frames{where}: those{taken} are taken instead",
-    "flats-partly-unlit": "flat frames{where} leave {unlit:.0%} of the frame unlit: that part is not used",
+    "flats-partly-unlit": "flat frames{where} leave {unlit:.0%} of the frame unlit: this part is not used",
     "gain-not-measured": "no range has two flat frames: gain is not measured, and equal pixels are assumed",
     # each fit
-    "fit-left-out": "{note}, or with fewer --workers; fits that are done are kept",
+    "fit-left-out": "{note}, or with fewer --workers; completed fits are kept",
     "search-cut-short": (
         "{where}: the search ended after {patience_s:g} s of processor time and {starts} starts without an accepted "
         "optimum; the likeliest is kept, a longer --patience searches further"
     ),
-    "fit-mended": "{where}: contradicted the other fits; fitted again from their prediction, it agrees",
+    "fit-mended": "{where}: contradicted the other fits; a new fit from their prediction agrees",
     "fit-does-not-belong": (
-        "{where}: contradicts the other fits, and is left out of best focus; was the lens touched, or is it another "
-        "optimum?"
+        "{where}: contradicts the other fits and is left out of best focus; was the lens touched, or is the optimum "
+        "wrong?"
     ),
     "two-camps": (
-        "the fits contradict each other in two camps: {members} follow one lens, {outliers} another; best focus is that of "
-        "the first; was the lens touched or focused anew?"
+        "the fits form two groups that contradict each other: {members} follow one lens, {outliers} another; best focus is "
+        "of the first; was the lens touched or refocused?"
     ),
     "undetermined": "{where}: the frames do not determine {list}; is the target lit, sharp and large enough?",
     "model-incomplete": (
@@ -194,7 +194,7 @@ TEXTS = {
     ),
     "optimum-doubtful": (
         "{where}: the residuals are more than noise (p = {p_value:.1g}, χ² per pixel {chi2_per_pixel:.2f}); the optimum may "
-        "be a wrong one, or the model lacks something{such_as}; its errors are not known"
+        "be wrong, or the model lacks something{such_as}; its errors are unknown"
     ),
     "model-incomplete-everywhere": (
         "the residuals of {count} of {fits} fits are more than noise (χ² per pixel {least:.2f} to {most:.2f}); the fits "
@@ -204,11 +204,11 @@ TEXTS = {
     # the session's lens
     "lens-changed": (
         "the lens or its focus was changed between {last_mm:g} and {next_mm:g} mm, as the photographs were taken: the "
-        "ranges before and after it follow two lenses; `labkit fit --split` fits them apart"
+        "ranges before and after follow two lenses; `labkit fit --split` fits them separately"
     ),
     "no-best-focus": "no best focus: {why}",
     "channel-without-best-focus": (
-        "no best focus of {where}: it needs at least 2 ranges: photograph the target at more ranges"
+        "no best focus of {where}, which needs at least 2 ranges: photograph the target at more ranges"
     ),
     "defocus-sign-open": (
         "{where}: these ranges leave open the sign of defocus and, with it, of all even modes; ranges on both sides of focus "
@@ -220,15 +220,15 @@ TEXTS = {
     ),
     "pupil-magnification-undetermined": (
         "these ranges do not determine the pupil magnification: its standard error is {pupil_magnification_std:.3f}; "
-        "ranges near the closest focus would, or a focal length and a tape known better"
+        "ranges near the closest focus would, or smaller errors of focal length and range zero"
     ),
     "plan-contradicted": (
         "the photographs contradict the plan: they agree with {key} = {agreed} in place of {stated:g}, which the results "
-        "assume; check it first, then, the likeliest first, {others}; correct the plan and fit again"
+        "assume; check this key first, then, the likeliest first, {others}; correct the plan and fit again"
     ),
     "cones-contradict-one-lens": (
-        "cone and sizes do not follow from one lens that is focused as a whole (the cone is {cone_relative_error:+.1%} off): "
-        "they were not used for focal length, f-number and pupil magnification; are channel.wavelength_nm, "
+        "working f-numbers and sizes contradict one lens focused as a whole (the f-number is {cone_relative_error:+.1%} "
+        "off): they were not used for focal length, f-number and pupil magnification; are channel.wavelength_nm, "
         "sensor.pixel_pitch_um, target.size_mm and lens.f_number right?"
     ),
     "modes-differ-between-ranges": (
@@ -236,7 +236,7 @@ TEXTS = {
     ),
     "errors-widened": (
         "the fits depart from one lens by {factor:.1f} times their standard errors (χ² per degree of freedom "
-        "{chi2_per_freedom:.1f}); all errors were widened by as much"
+        "{chi2_per_freedom:.1f}); all errors were increased by this factor"
     ),
     # the camera
     "camera-part-found": "the photographs show {part_words}, which the plan does not state: {values_words}",
@@ -245,7 +245,7 @@ TEXTS = {
         "fitted besides the usual modes"
     ),
     "camera-parts-missing": (
-        "the photographs show {list}, which the model lacks and which would move {moves}; standard errors include that"
+        "the photographs show {list}, which the model lacks and which would move {moves}; standard errors include this effect"
     ),
     "stated-model-moves": "the model as the plan states it would move {moves}{rejected}",
     "panel-aperture-found": (

@@ -156,7 +156,7 @@ def test_photographs_of_two_settings_in_a_session_are_told(tmp_path: Path) -> No
         "the photographs differ in lens",
     ]
     assert (
-        "a.jpg has 70 mm, b.jpg 71 mm by their EXIF; a session is of one lens at one setting"
+        "a.jpg has 70 mm, b.jpg 71 mm by their EXIF; a session has one lens at one setting"
         in lines[0]
     )
     assert told(one, one) == []

@@ -236,7 +236,7 @@ def test_an_accepted_optimum_and_a_doubtful_one_have_codes_of_their_own() -> Non
     by_starts = residuals_not_noise(GREEN, 1e-6, 1.234, {}, "starts")
     assert by_starts.text.endswith("; how much its numbers err is not known")
     doubtful = residuals_not_noise(GREEN, float("nan"), 1.2, {}, None)
-    assert doubtful.text.endswith("; its errors are not known")
+    assert doubtful.text.endswith("; its errors are unknown")
     assert (doubtful.code, doubtful.key) == ("optimum-doubtful", GREEN)
     assert doubtful.numbers == {
         "p_value": None,
@@ -255,7 +255,7 @@ def test_how_far_results_move_is_told_in_numbers_and_in_words() -> None:
     words = "best focus by G +0.024 mm, wavefronts by up to 0.013 waves RMS, PSFs by up to 3.1 % (L1)"
     missing = camera_parts_missing({n: KNOWN[n].words for n in ("smear", "veil")}, MOVES)
     assert missing.numbers == {"parts": ["smear", "veil"]} | moved
-    assert missing.text.endswith(f"{words}; standard errors include that")
+    assert missing.text.endswith(f"{words}; standard errors include this effect")
     stated = stated_model_moves(MOVES, 1, 4)
     assert stated.numbers == {"rejected_optima": 1, "optima": 4} | moved
     assert stated.text.endswith(f"{words}; 1 of 4 optima would be rejected")

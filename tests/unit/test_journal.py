@@ -126,7 +126,7 @@ def test_a_fit_says_which_photographs_it_does_not_use(
     (finding,) = unused(Session.open(folder))
     assert finding.code == "photographs-unlisted"
     assert finding.warns
-    assert "are not used, dark_2.dng for one" in finding.text
+    assert "are not used, such as dark_2.dng" in finding.text
 
 
 def test_a_photograph_that_another_process_adds_is_not_taken_for_a_stray(
