@@ -133,7 +133,7 @@ def panels(
 
 
 def scaling(factor: float) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
-    """What a second axis shows of the first, and back: waves in nanometres."""
+    """Return the functions between an axis and a second one with another unit, such as waves in nanometres."""
     return lambda waves: waves * factor, lambda nm: nm / factor
 
 

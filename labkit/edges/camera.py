@@ -1,4 +1,4 @@
-"""What is known of a camera before its edges are fitted: from a plan alone, or from a session's results."""
+"""The camera before its edges are fitted: from a plan alone, or from a session's results."""
 
 from __future__ import annotations
 
@@ -30,7 +30,9 @@ MODE_FLOOR = 1e-3  # waves RMS: as alike as a session's modes are at another ran
 
 @dataclass(frozen=True)
 class Camera:
-    """Of one channel. noise: as expected of a photograph; given: whether the modes come from a session."""
+    """The camera in one channel. noise: as expected of a photograph; given: whether the modes come from a
+    session.
+    """
 
     channel: str
     optics: Optics

@@ -149,7 +149,7 @@ class MeasuredEdge:
 
     @property
     def chi2_per_pixel(self) -> float:
-        """Of all colours."""
+        """χ² per pixel over all colours."""
         pixels = [c.pixels for c in self.channels]
         return float(np.average([c.chi2_per_pixel for c in self.channels], weights=pixels))
 

@@ -61,14 +61,14 @@ class FocusLaw:
         )
 
     def slope(self, channel: str, range_mm: float) -> float:
-        """Of defocus by range, waves per mm."""
+        """Return the derivative of defocus by range, waves per mm."""
         step = 1e-5 * range_mm
         return (
             self.defocus(channel, range_mm + step) - self.defocus(channel, range_mm - step)
         ) / (2 * step)
 
     def range_mm(self, channel: str, defocus: float) -> float:
-        """Of a defocus, waves RMS: infinite where it lies beyond that of infinity."""
+        """Return the range of a defocus, waves RMS; infinite beyond the defocus of infinity."""
         near, far = (
             max(NEAREST_RANGE * self.lens.focal_length_mm - self.zero_mm, 1.0),
             FARTHEST_RANGE_MM,
@@ -160,7 +160,9 @@ def edge_range(
 def _common_range(
     law: FocusLaw, names: Sequence[str], defocus: Floats, weight: Floats
 ) -> float:
-    """By least squares in 1 / range, where the law is nearly straight; infinite where none has any."""
+    """Return the range by least squares in 1 / range, where the law is nearly straight; infinite if no colour
+    has a range.
+    """
     own = [
         min(law.range_mm(name, value), FARTHEST_RANGE_MM)
         for name, value in zip(names, defocus, strict=True)
@@ -181,9 +183,10 @@ def _common_range(
 def _error(
     law: FocusLaw, names: Sequence[str], defocus: Floats, weight: Floats, value: float
 ) -> float:
-    """Of a range: that of the defocus, and that of the law, by differences.
+    """Return the error of a range from the errors of defocus and law, by differences.
 
-    What an edge measures is how wide it is blurred, 8 N times the path: with another f-number its defocus would be another.
+    An edge measures the width of its blur, 8 N times the path: another f-number means
+    another defocus.
     """
     by_range = np.array([law.slope(name, value) for name in names])
     size = len(law.covariance)

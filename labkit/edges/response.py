@@ -15,7 +15,9 @@ RESPONSE_POINTS = 400
 
 @dataclass(frozen=True)
 class FittedResponse:
-    """Of one edge: (n,) frequency_per_mm along its normal, value, std; where it first falls to 0.5 and to 0.1, cycles/mm."""
+    """Response of one edge: (n,) frequency_per_mm along its normal, value, std; its first falls to 0.5 and to
+    0.1, cycles/mm.
+    """
 
     frequency_per_mm: Floats
     value: Floats
@@ -25,7 +27,7 @@ class FittedResponse:
 
 
 def fitted_response(fit: EdgeFit, k: int = 0) -> FittedResponse:
-    """Of one region's edge, up to twice the Nyquist frequency of the raw's pixels or the lens's cutoff, whichever is lower.
+    """Return the response of one region's edge, up to twice the raw's Nyquist frequency or the lens's cutoff.
 
     Errors are by the delta method, from defocus and the other modes as the fit knows them.
     """

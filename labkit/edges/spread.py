@@ -112,7 +112,7 @@ def wavefront_of(optics: Optics, waves: Floats, node: float = 1.0) -> FittedWave
 
 
 def _beyond(optics: Optics, azimuth: float, frequency: Floats) -> Floats:
-    """What lies behind the lens: the pixel's active square, and the parts of the camera."""
+    """Return the transfer function behind the lens: of the pixel's active square and the camera's parts."""
     columns, rows = frequency * np.cos(azimuth), frequency * np.sin(azimuth)
     beyond: Floats = np.sinc(columns * optics.active_um) * np.sinc(rows * optics.active_um)
     for part in (*optics.given, *optics.parts):
@@ -135,9 +135,11 @@ class EdgeSpread:
 def edge_spread(
     optics: Optics, waves: Floats, azimuth: float, reach_um: float
 ) -> EdgeSpread:
-    """Of a camera, for an edge whose normal lies at an azimuth, radians from x (right) towards y (down).
+    """Return the edge-spread function of a camera for an edge whose normal has an azimuth, radians from x
+    towards y.
 
-    waves: (modes,) RMS at the reference. Raises ValueError for no reach. Thesis (5.12), (5.16), (5.20), (5.27).
+    waves: (modes,) RMS at the reference. Raises ValueError for no reach. Thesis (5.12),
+    (5.16), (5.20), (5.27).
     """
     if not reach_um > 0:
         raise ValueError(f"reach_um = {reach_um:g}: a distance above 0 is needed (um)")

@@ -50,8 +50,11 @@ OVERSHOOT = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Alterations:
-    """What a program has done. refusal: why the picture cannot be used, as the end of a sentence, or None; notes: what else to
-    know of it, a line each."""
+    """Changes made to a picture by a program.
+
+    refusal: reason why the picture cannot be used, as the end of a sentence, or None;
+    notes: further remarks, one line each
+    """
 
     refusal: str | None = None
     notes: tuple[str, ...] = ()
@@ -59,15 +62,18 @@ class Alterations:
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Of the smooth parts of a picture. upper: power near Nyquist's frequency over that in the middle, along rows and
-    columns; periodic: power of the strongest period of its strength over the median's."""
+    """Noise of the smooth parts of a picture.
+
+    upper: power near Nyquist's frequency over that in the middle, along rows and columns;
+    periodic: power of the strongest period over the median's
+    """
 
     upper: tuple[float, float]
     periodic: float
 
 
 def alterations(mosaic: Photograph) -> Alterations:
-    """What a program has done to a picture. A mosaic was never altered: nothing is looked for there."""
+    """Return the changes made to a picture by a program; a mosaic counts as unaltered without a test."""
     if mosaic.pattern not in (MONO, IN_COLOURS):
         return Alterations()
     plane = mosaic.part("G")  # green is interpolated least
@@ -107,7 +113,7 @@ def alterations(mosaic: Photograph) -> Alterations:
 
 
 def noise_of(mosaic: Photograph) -> Noise | None:
-    """Of a picture of one colour; None where its noise cannot be seen beside structure and rounding."""
+    """Return the noise of a picture of one colour; None if structure and rounding hide it."""
     plane = mosaic.counts
     if min(plane.shape) < 2 * NOISE_TILE_PX:
         return None
@@ -142,9 +148,11 @@ def noise_of(mosaic: Photograph) -> Noise | None:
 
 
 def edge_overshoot(plane: ArrayLike) -> float:
-    """By how much upright and lying edges between even parts overshoot, as a share of their contrast; 0 without such edges.
+    """Return the overshoot of upright and lying edges between even parts, as a share of their contrast; 0
+    without edges.
 
-    plane: (rows, cols), any scale. The mean over edges of each direction, the larger of both.
+    plane: (rows, cols), any scale. The mean over edges of each direction, the larger of
+    both.
     """
     picture = np.asarray(plane, dtype=np.float64)
     return max(_overshoot_along_rows(picture), _overshoot_along_rows(picture.T))
@@ -220,7 +228,7 @@ def _strongest_period(strength: Floats, compressed: bool) -> float:
 
 
 def _overshoot_along_rows(plane: Floats) -> float:
-    """Of edges that rows cross."""
+    """Return the overshoot of edges that rows cross."""
     (near, far), (rows, cols) = FLAT_PX, plane.shape
     if cols < 4 * far:
         return 0.0
@@ -248,7 +256,7 @@ def _overshoot_along_rows(plane: Floats) -> float:
 
 
 def _overshoot_of(profile: Floats) -> float:
-    """Of the bright side of a mean edge, dark first; 0 where that side is uneven."""
+    """Return the overshoot on the bright side of a mean edge, dark first; 0 if this side is uneven."""
     near, far = FLAT_PX
     dark, bright = profile[: far - near + 1].mean(), profile[near - far - 1 :].mean()
     overshoot = float((profile[far : far + HALO_PX + 1].max() - bright) / (bright - dark))

@@ -41,7 +41,7 @@ MAKE, MODEL, EXPOSURE_S, ISO_TAG, DNG_VERSION, DNG_MODEL = (
 
 @dataclass(frozen=True, slots=True)
 class Container:
-    """What a file is, and what its tags state of camera and exposure."""
+    """The type of a file, and camera and exposure by its tags."""
 
     kind: Literal["raw", "tiff", "png", "pgm", "jpeg", "headerless"]
     camera: str = ""
@@ -50,7 +50,7 @@ class Container:
 
 
 def recognise(path: Path) -> Container:
-    """What `path` holds, by its content. Raises RawError for a file that is no photograph, or not whole."""
+    """Return the type of a file by its content. Raises RawError for a file that is no photograph, or not whole."""
     try:
         return run_apart(_recognise, path)
     except RawError:

@@ -29,7 +29,7 @@ Curve = Callable[[Floats], Floats]
 
 @dataclass(frozen=True, slots=True)
 class Encoding:
-    """What a file states of its tone curve: a profile, sRGB, or a power of the number stored; nothing is nothing stated."""
+    """A file's statements on its tone curve: a profile, sRGB, or a power of the stored number; empty if none."""
 
     icc: bytes = b""
     srgb: bool = False
@@ -42,7 +42,7 @@ class Encoding:
 
 
 def read_encoding(path: Path) -> Encoding:
-    """What a JPEG, PNG or TIFF file states. Raises InputError for one that is damaged, OSError."""
+    """Read the statements of a JPEG, PNG or TIFF file. Raises InputError for a damaged file, OSError."""
     with path.open("rb") as file:
         head = file.read(len(PNG))
     if head.startswith(JPEG):

@@ -1,4 +1,4 @@
-"""What a photograph's file says of lens, body and exposure: EXIF tags, whatever the file's type."""
+"""Read lens, body and exposure from a photograph's EXIF tags, whatever the file's type."""
 
 from __future__ import annotations
 
@@ -26,9 +26,10 @@ DIAGONAL_35MM_MM = math.hypot(36.0, 24.0)
 
 @dataclass(frozen=True, slots=True)
 class Exif:
-    """What a file states; empty or None where it states nothing.
+    """Statements of a file; empty or None where the file states nothing.
 
-    focal_length_35mm: of the same angle of view on 24 × 36 mm; pixel_pitch_um: as the focal plane's resolution has it;
+    focal_length_35mm: of the same angle of view on 24 × 36 mm; pixel_pitch_um: as the focal
+    plane's resolution has it;
     size_px: (rows, cols) that the camera wrote; taken: as "2026:11:22 09:08:07".
     """
 
@@ -47,7 +48,10 @@ class Exif:
 
 
 def read_exif(path: Path) -> Exif:
-    """Of a JPEG, TIFF, PNG or raw file. What is damaged counts as not stated. Raises OSError where it cannot be read."""
+    """Read the EXIF of a JPEG, TIFF, PNG or raw file; damaged tags count as not stated.
+
+    Raises OSError for a file that cannot be read.
+    """
     try:
         return run_apart(_read_exif, path)
     except InputError:
@@ -70,7 +74,7 @@ def _read_exif(path: Path) -> Exif:
 
 
 def of_tags(tags: Mapping[int, Any]) -> Exif:
-    """Of EXIF tags by their numbers."""
+    """Return the statements of EXIF tags, by number."""
     unit = UNIT_UM.get(_whole(tags.get(Base.FocalPlaneResolutionUnit)) or 2)
     resolution = _positive(tags.get(Base.FocalPlaneXResolution))
     rows, cols = (
@@ -109,7 +113,7 @@ def _tags(file: BinaryIO) -> dict[int, Any]:
 
 
 def _of_raw(path: Path) -> Exif:
-    """Of raw files that are no TIFF, as LibRaw has it."""
+    """Return the statements of a raw file that is no TIFF, by LibRaw."""
     import rawpy
 
     from labkit.photographs.libraw import captured_stderr, opened_raw

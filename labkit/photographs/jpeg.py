@@ -1,4 +1,4 @@
-"""What the headers of JPEG pictures state, read without decoding."""
+"""Read the headers of JPEG pictures without decoding."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ALONE = frozenset({0x01, *range(0xD0, 0xD8)})
 
 @dataclass(frozen=True, slots=True)
 class JpegHeader:
-    """What a JPEG states before its pixels.
+    """Statements of a JPEG before its pixels.
 
     Attributes
     ----------

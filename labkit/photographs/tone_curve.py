@@ -42,7 +42,7 @@ class ToneCurve:
         )
 
     def of(self, plane: int) -> ToneCurve:
-        """Of one colour alone."""
+        """Return the curve of one colour alone."""
         return ToneCurve(self.name, self.levels[plane % len(self.levels)][None])
 
     def rounding_variance(self, counts: Counts | Floats) -> Floats:
@@ -56,7 +56,10 @@ class ToneCurve:
 
 
 def tone_curve(name: str, curves: Sequence[Curve], white: int) -> ToneCurve:
-    """Of numbers from 0 to white. curves: light, 0 to 1, by the number, 0 to 1; one for all colours, or one for each."""
+    """Return the curve of numbers from 0 to white.
+
+    curves: light, 0 to 1, by the number, 0 to 1; one for all colours, or one for each
+    """
     stored = np.linspace(0.0, 1.0, white + 1)
     with np.errstate(
         all="ignore"
@@ -66,7 +69,7 @@ def tone_curve(name: str, curves: Sequence[Curve], white: int) -> ToneCurve:
 
 
 def stated_curve(encoding: Encoding, white: int) -> ToneCurve:
-    """What a file states; sRGB where that is nothing. Raises InputError for a profile that cannot be used."""
+    """Return the curve that a file states; sRGB without a statement. Raises InputError for an unusable profile."""
     if encoding.icc:
         name = profile_name(encoding.icc)
         return tone_curve(

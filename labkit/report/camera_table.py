@@ -1,4 +1,4 @@
-"""What was found of the camera, and which of its parts the photographs were tested for."""
+"""Tables of the camera's detected parts, and of the parts that the photographs were tested for."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def light_table(results: Results, focused: Sequence[ChannelFocus]) -> Table | No
 
 
 def missing_words(results: Results) -> str:
-    """What the data call for that the model lacks, in words; nothing where it lacks nothing."""
+    """Name the parts that the data show and the model lacks; empty if there are none."""
     return ", ".join(
         _title(name) for name in dict.fromkeys(name for w in results for name in w.missing)
     )

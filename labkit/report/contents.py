@@ -59,7 +59,7 @@ OPTIONAL_SECTIONS = {"lens", "budget", "camera", "fits"}
 def contents(
     results: Results, curves: Sequence[Curves], photographs: Photographs, drawn: set[str]
 ) -> dict[str, Any]:
-    """What the template needs; drawn: the sections that have figures."""
+    """Return the values of the template. drawn: sections with figures."""
     m, plan, focus, focused = (
         results,
         results.plan,

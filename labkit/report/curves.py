@@ -1,4 +1,4 @@
-"""What the report draws and hands out as numbers: each channel at best focus, and its curves at and through focus."""
+"""Curves of the report, drawn and as numbers: each channel at best focus, and at and through focus."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class ChannelFocus:
 
     @property
     def best(self) -> BestFocus:
-        """Its numbers at best focus, of the optics alone; their errors are nan where they are not known."""
+        """Numbers at best focus, of the optics alone; unknown errors are nan."""
         return self.photographed.best if self.unsure is None else self.unsure
 
     @property
@@ -105,7 +105,7 @@ def full_nyquist_per_mm(sensor: Sensor) -> float:
 
 
 def plane_nyquist_per_mm(sensor: Sensor, channel: str) -> float:
-    """That of the pixels of one channel: half as high in a filter array of 2 x 2."""
+    """Return the Nyquist frequency of one channel's pixels: half as high in a filter array of 2 x 2."""
     return full_nyquist_per_mm(sensor) / sensor.pixels(channel).period
 
 
@@ -120,11 +120,14 @@ Place = Callable[[float], float]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Curves:
-    """Of a channel: MTF with its factors, encircled energy, and both through focus.
+    """Curves of a channel: MTF with its factors, encircled energy, and both through focus.
 
-    mtf: of the optics along x and y; pixel: of a pixel's active area, along either; perfect: of a lens without aberration.
-    energy, perfect_energy: at the same radii. place: of a defocus, in a range if in_ranges, else a shift of the sensor;
-    strehl, modulation: against defocus, the latter at through_per_mm; depth: None where the curve does not show it.
+    mtf: of the optics along x and y; pixel: of a pixel's active area, along either;
+    perfect: of a lens without aberration.
+    energy, perfect_energy: at the same radii. place: of a defocus, in a range if in_ranges,
+    else a shift of the sensor;
+    strehl, modulation: against defocus, the latter at through_per_mm; depth: None where the
+    curve does not show it.
     """
 
     focus: ChannelFocus
@@ -169,7 +172,7 @@ def last_frequency_per_mm(results: Results) -> float:
 
 
 def curves_of(results: Results, focused: list[ChannelFocus]) -> list[Curves]:
-    """Of each channel; axes of one kind end alike for all."""
+    """Return the curves of each channel; axes of one kind end alike for all."""
     last_per_mm = last_frequency_per_mm(results)
     last_um = max(
         max(

@@ -77,7 +77,7 @@ def _method_cells(w: Wavefront) -> tuple[str, ...]:
 
 
 def residual_table(results: Results, focus: Focus) -> Table:
-    """What the focus fit leaves of each channel's defocus."""
+    """Return the table of each channel's defocus residuals in the focus fit."""
     columns = (
         Column("channel", text=True),
         Column("best focus", "mm"),

@@ -177,7 +177,7 @@ class Download:
 
     @property
     def uri(self) -> str:
-        """As a link."""
+        """Return the content as a link."""
         return f"data:{self.media_type};base64,{b64encode(self.content).decode()}"
 
 

@@ -223,7 +223,7 @@ LENS_NAMES = {
 
 
 def lens_table(results: Results) -> Table | None:
-    """What was measured beside what the plan stated, channels in groups; None where the lens was not estimated."""
+    """Return measured values beside the plan's, channels in groups; None if the lens was not estimated."""
     lens, focus, plan = results.lens, results.focus, results.plan
     if lens is None:
         return None
@@ -257,7 +257,7 @@ def _full_pupil(rim: Rim, f_number: Uncertain) -> list[Row]:
 
 
 def working_f_number(results: Results, channel: str) -> Uncertain:
-    """Of the cone that reaches the sensor: one for all ranges of a channel, from the wavefront that knows it best."""
+    """Return the working f-number of a channel, for all ranges, from the wavefront with the least error."""
     cones = [w.working_f_number for w in results.of_channel(channel)]
     return min(cones, key=lambda cone: cone.std if isfinite(cone.std) else float("inf"))
 
@@ -286,7 +286,7 @@ def _share(std: float, digits: int) -> str:
 
 
 def budget_name(key: str) -> tuple[str, str]:
-    """What a budget's number is called, its channel named, and its unit."""
+    """Return the name and the unit of a number of the budget, with its channel."""
     quantity, _, channel = key.partition(".")
     name, unit = LENS_NAMES.get(quantity, (quantity.replace("_", " "), ""))
     return (f"{name}, {channel}" if channel else name), unit
@@ -367,9 +367,11 @@ def mode_table(focused: Sequence[ChannelFocus], unit: str, factor: float = 1.0) 
 
 
 def difference_table(results: Results, focused: Sequence[ChannelFocus]) -> Table | None:
-    """Of each range, by how much each mode but defocus differs from that at best focus; None where none does.
+    """Return the differences of all modes but defocus from those at best focus, for each range; None if there
+    are none.
 
-    Estimates of two ranges are independent; a session's estimate has one set of modes for all.
+    Estimates of two ranges are independent; a session's estimate has one set of modes for
+    all.
     """
     rows = []
     for best in focused:

@@ -1,4 +1,4 @@
-"""What files and journal say of the photographs that were fitted, and where the target stood in them."""
+"""Statements of files and journal on the fitted photographs, and the target's place in them."""
 
 from __future__ import annotations
 
@@ -29,9 +29,10 @@ CORNERS_NOTE = "corners are fitted to hundredths of a pixel; their errors are no
 
 @dataclass(frozen=True, slots=True)
 class Photographs:
-    """What is known of them beside the fits; empty where the session's folder is not at hand.
+    """Facts on the photographs besides the fits; empty without the session's folder.
 
-    rows: name, value, and where it comes from. taken: when, in words. preview: (rows, columns) 0..1, averaged over
+    rows: name, value, and where it comes from. taken: when, in words. preview: (rows,
+    columns) 0..1, averaged over
     blocks of preview_px pixels; size_px: (rows, columns) of the frame.
     """
 
@@ -44,7 +45,10 @@ class Photographs:
 
 
 def photographs_of(results: Results, nearest: Wavefront) -> Photographs:
-    """Of a session that results lie in. nearest: whose photograph is shown."""
+    """Return the photographs of the session that holds the results.
+
+    nearest: its photograph is shown
+    """
     folder = results.folder
     if folder is None:
         return Photographs()
@@ -115,7 +119,7 @@ def _exif(path: Path) -> Exif | None:
 
 
 def _one(exifs: Sequence[Exif], value_of: Callable[[Exif], object]) -> str:
-    """What all state; what some state, if they differ."""
+    """Return the value that all files state, or the different values of some."""
     values = dict.fromkeys(str(value) for exif in exifs if (value := value_of(exif)))
     return ", ".join(values)
 
@@ -136,7 +140,7 @@ def _exif_time(text: str) -> str:
 
 
 def _day(time: str) -> str:
-    """Of a time in words."""
+    """Return the day of a time in words."""
     return time.partition(",")[0]
 
 
@@ -156,7 +160,7 @@ def _drawn(began: dict[str, Any], fitted_mm: float) -> str:
 
 
 def _either(name: str, in_files: str, in_journal: str) -> tuple[str, str, str]:
-    """What files state; what the journal has where they state nothing."""
+    """Return the files' statement, or else the journal's."""
     return (name, in_files, FILES) if in_files else (name, in_journal, JOURNAL_NOTE)
 
 
@@ -218,7 +222,7 @@ def photograph_table(photographs: Photographs) -> Table:
 
 
 def place_table(results: Results, photographs: Photographs) -> Table:
-    """Of each range where the target's middle stood and how large it was, by the first channel's first photograph."""
+    """Return the target's place and size at each range, in the first channel's first photograph."""
     pitch_mm = results.plan.sensor.pixel_pitch_um * 1e-3
     columns = (
         Column("range", "mm", exact=True),

@@ -42,7 +42,7 @@ class Panel:
 
     @property
     def media_type(self) -> str:
-        """Of the bytes."""
+        """Media type of the bytes."""
         return "image/svg+xml" if self.file.endswith(".svg") else "image/png"
 
 
@@ -96,7 +96,7 @@ LIMIT_MARGIN = 0.01  # waves: of a scale, where a wavefront is flat
 
 
 def map_limit(wavefronts: Sequence[FittedWavefront]) -> float:
-    """Of a colour scale that is even about zero: the greatest path difference of all, waves."""
+    """Return the limit of a colour scale symmetric about zero: the greatest path difference of all, waves."""
     return (
         max(
             (float(np.nanmax(np.abs(opd_map(w, 41).value))) for w in wavefronts),

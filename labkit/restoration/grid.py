@@ -134,7 +134,7 @@ class SceneGrid:
         return self.cells.sample(spectrum)
 
     def spread(self, plane: Floats, transfer: Complexes64) -> Complexes64:
-        """What a plane is by the transpose of `sample` of a scene blurred by a transfer function, as a half plane."""
+        """Return the half plane of a plane through the transpose of blur by a transfer function and `sample`."""
         cells = np.zeros(self.cells.pixels)
         cells[self.at_frame] = plane
         folded = scipy.fft.fft2(cells).astype(np.complex64)[:, None, :]

@@ -1,4 +1,4 @@
-"""What a restoration is written as: restored.tif, std.tif, restored.png, restore.json."""
+"""Write a restoration: restored.tif, std.tif, restored.png, restore.json."""
 
 from __future__ import annotations
 

@@ -160,7 +160,7 @@ def _step(job: Job, photograph: Exposure, area: Area, scene: AnyComplexes) -> Fl
 
 
 def _middle(job: Job) -> Area:
-    """Of the photographs, in whole cells, as much as serves."""
+    """Return the middle of the photographs, in whole cells, as large as useful."""
     sides = [min(side, MIDDLE_PX) // job.period * job.period for side in job.shape]
     rows, columns = (
         (side - part) // 2 // job.period * job.period

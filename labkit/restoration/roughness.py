@@ -40,14 +40,14 @@ class Roughness:
     held: Norm | None = None
 
     def norm(self, scene: AnyFloats, spectra: AnyComplexes) -> Norm:
-        """Of a scene (components, rows, columns), its half planes beside it."""
+        """Return the norm of a scene (components, rows, columns), with its half planes given."""
         means = scene[:, self.seen].mean(axis=1, dtype=np.float64)
         apart = self._apart(scene, means)
         square = self._area * float(np.sum(apart * self._coupled(apart), dtype=np.float64))
         return Norm(square, means, self._rough(spectra) / max(square, np.finfo(float).tiny))
 
     def value(self, scene: AnyFloats, spectra: AnyComplexes) -> float:
-        """Of the penalty. Thesis (K.11)."""
+        """Return the value of the penalty. Thesis (K.11)."""
         if self.held is None:
             return self.strength * self.norm(scene, spectra).roughness
         apart = self._apart(scene, self.held.means)
@@ -110,12 +110,14 @@ class Roughness:
         )
 
     def stiffness(self, norm: Norm) -> float:
-        """What w^2 is multiplied by in a sample's second derivatives, the norm's own left out: 2 lambda / |f - mean|^2."""
+        """Return the factor of w^2 in a sample's second derivatives without the norm's: 2 lambda / |f -
+        mean|^2.
+        """
         return 2 * self.strength / (self.held or norm).square * self._area
 
     @property
     def _area(self) -> float:
-        """Of a fine sample, in pixels."""
+        """Area of a fine sample, in pixels squared."""
         return 1 / self.grid.samples**2
 
     def _apart(self, scene: AnyFloats, means: Floats) -> AnyFloats:

@@ -1,4 +1,4 @@
-"""What the optics do at best focus: the numbers of a wavefront without its defocus, each with its standard error."""
+"""Numbers of the optics at best focus: of a wavefront without its defocus, each with its standard error."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""What is estimated from a session: a wavefront for each range and channel, and best focus.
+"""The results of a session: a wavefront for each range and channel, and best focus.
 
-The same objects are made by a fit and read back from its folder, so that whatever uses results sees one model of them.
+A fit makes the same objects that are read back from its folder.
 """
 
 from __future__ import annotations
@@ -56,16 +56,17 @@ class OptimumTest:
 
     @property
     def next_below(self) -> float:
-        """By how much the log-likelihood of the next optimum is lower; nan where no other was met."""
+        """Difference of the log-likelihood to the next optimum; nan without another."""
         return self.others[0].log_likelihood_below if self.others else nan
 
 
 @dataclass(frozen=True, slots=True)
 class ResidualSpectrum:
-    """What is left of the data, by spatial frequency, a mean over all directions.
+    """Residuals by spatial frequency, a mean over all directions.
 
-    cycles_per_px: (n,) of the raw's pixels; power: (n,) over the noise's, 1 where noise alone is left; without_parts: (n,) the
-    same without the parts of the camera that were found, None where none were.
+    cycles_per_px: (n,) of the raw's pixels; power: (n,) relative to the noise's, 1 for
+    noise alone; without_parts: (n,) the same without the detected parts of the camera, None
+    if there are none
     """
 
     cycles_per_px: Floats
@@ -224,12 +225,12 @@ class Wavefront:
 
     @property
     def working_f_number(self) -> Uncertain:
-        """Of the cone that reaches the sensor, by the pupil's clear area."""
+        """Working f-number, by the pupil's clear area."""
         return Uncertain(self.f_number, self.f_number_std)
 
     @property
     def outer_f_number(self) -> Uncertain:
-        """Of the cone from the circle around the pupil, as if nothing cut or obstructed it."""
+        """Working f-number of the circle around the pupil, as if nothing cut or obstructed the pupil."""
         return Uncertain(self.f_number / self.rim.outer, self.f_number_std / self.rim.outer)
 
     @property
@@ -255,7 +256,7 @@ class Wavefront:
 
     @cached_property
     def best(self) -> BestFocus:
-        """What the lens does at best focus: Strehl ratio, RMS, MTF and more of the wavefront without its defocus."""
+        """The lens at best focus: Strehl ratio, RMS, MTF and more of the wavefront without its defocus."""
         return BestFocus(self.at_focus())
 
     @property

@@ -96,7 +96,7 @@ class Results:
 
     @property
     def reference_wavelength_nm(self) -> float:
-        """What waves are counted in."""
+        """Wavelength of the unit of waves."""
         return self.plan.reference_wavelength_nm
 
     @property
@@ -119,7 +119,7 @@ class Results:
         return tuple(w for w in self.wavefronts if w.channel == channel)
 
     def best_known(self, channel: str) -> Wavefront:
-        """Of a channel's wavefronts the one whose modes except defocus have the least variance; accepted ones first.
+        """Return a channel's wavefront with the least variance of all modes but defocus; accepted ones first.
 
         Raises DataError for a channel that was not fitted.
         """
@@ -129,7 +129,7 @@ class Results:
         )
 
     def nearest_focus(self, channel: str) -> Wavefront:
-        """Of a channel's wavefronts the one of least defocus; accepted ones first. Its `best` is what the report gives.
+        """Return a channel's wavefront of least defocus; accepted ones first. The report shows its `best`.
 
         Raises DataError for a channel that was not fitted.
         """

@@ -142,7 +142,7 @@ class OptimumEntry(Entry):
 
 
 class ResidualSpectrumEntry(Entry):
-    """What is left of the data, by frequency."""
+    """Residuals by frequency."""
 
     cycles_per_px: Annotated[Floats, array(tuple[Finite, ...])]
     power: Powers

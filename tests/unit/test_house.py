@@ -18,10 +18,8 @@ MOST_LINES, MEDIAN_LINES, MOST_SHARE_OF_A_ROOM = 500, 200, 0.15
 MOST_STATEMENTS, MOST_LINES_OF_A_FUNCTION = 34, 80
 MEAN_CHARACTERS, MEAN_TOKENS = 42.0, 9.0
 FRAGMENTS = ("Of", "As", "By", "That", "Those", "What", "Its")
-MOST_FRAGMENTS = 106
-"""Docstrings that begin with such a word have no subject and verb: not one more than there are."""
 PRONOUNS = {"it", "that", "those", "one", "what"}
-MOST_PRONOUNS = 0.03
+MOST_PRONOUNS = 0.027
 NO_CODE = {
     tokenize.COMMENT,
     tokenize.NL,
@@ -148,7 +146,7 @@ PRODUCT = [
 def test_docstrings_have_a_subject_and_a_verb() -> None:
     texts = [(name(path), text) for path in PRODUCT for text in docstrings(path)]
     found = Counter(where for where, text in texts if text.split()[0] in FRAGMENTS)
-    assert found.total() <= MOST_FRAGMENTS, found
+    assert found == {}
 
 
 def test_docstrings_name_things_rather_than_point_at_them() -> None:
