@@ -7,18 +7,21 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from labkit.errors import LabkitError
-from labkit.photographs.decoding import read_photograph
-from labkit.photographs.exif import Exif, read_exif
 from labkit.report.table import UNKNOWN, Column, Row, Table, fixed, when
 from labkit.results import Results, Wavefront
 from labkit.session.frame import Frame, in_words
 from labkit.session.session import Session
 from labkit.types import Floats
+
+if TYPE_CHECKING:
+    from labkit.photographs.exif import Exif
+
+# What decodes photographs is imported where one is at hand.
 
 MOST_EXIF = 40  # files whose EXIF is read: of hundreds a few say as much
 REPORT_PREVIEW_PX = 640
@@ -113,6 +116,8 @@ def photographs_of(results: Results, nearest: Wavefront) -> Photographs:
 
 
 def _exif(path: Path) -> Exif | None:
+    from labkit.photographs.exif import read_exif
+
     with suppress(OSError):
         return read_exif(path)
     return None
@@ -168,6 +173,8 @@ def _preview(path: Path | None, results: Results) -> dict[str, Any]:
     """The photograph, small, its filter array averaged out; nothing where it cannot be read."""
     if path is None:
         return {}
+    from labkit.photographs.decoding import read_photograph
+
     try:
         mosaic = read_photograph(path, results.plan.sensor)
     except (LabkitError, OSError):
