@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.special import chdtri
 
-from labkit.estimation.candidate import Measured, mostly_unexplained
+from labkit.estimation.candidate import Measured
 from labkit.estimation.local import Optimum
 from labkit.estimation.scores import ScoreTest
 from labkit.estimation.settings import SETTINGS
@@ -128,13 +128,14 @@ def _explained(fits: Iterable[Optimum]) -> int:
 
 
 def _least_gain(fits: Sequence[Optimum]) -> float:
-    """Return the least gain of a part: a share of what is unexplained, if most fits are unexplained.
+    """Return the least gain of a part: a share of what is unexplained, unless most fits are explained.
 
     A part with a smaller gain stands for something else that the model lacks.
     """
-    if not mostly_unexplained(fit.verdict.accepted for fit in fits):
+    unexplained = [fit.unexplained for fit in fits if not fit.verdict.accepted]
+    if 2 * len(unexplained) < len(fits):
         return 0.0
-    return SETTINGS.few * sum(fit.unexplained for fit in fits if not fit.verdict.accepted)
+    return SETTINGS.few * sum(unexplained)
 
 
 def _far(name: str) -> bool:

@@ -77,7 +77,12 @@ P = TypeVar("P", bound=Position)
 
 
 def climb(
-    start: P, *, tolerance: float, max_steps: int = 40, damping: float = 1e-3
+    start: P,
+    *,
+    tolerance: float,
+    max_steps: int = 40,
+    damping: float = 1e-3,
+    least: float = 1e-3,
 ) -> tuple[P, int, bool]:
     """Climb to the maximum near a start.
 
@@ -86,7 +91,8 @@ def climb(
     start : where to begin
     tolerance : error of the end in standard errors, all parameters together
     max_steps : largest number of positions whose slopes are computed
-    damping : damping of the first step, and least damping after a step that led down
+    damping : damping of the first step
+    least : least damping after a step that led down, over 8
 
     Returns
     -------
@@ -99,7 +105,7 @@ def climb(
     steps shrink at least as fast as the last two did, unless damping shortens them. A climb ends with a step that leaves less
     than the tolerance to go and whose end can be predicted from slopes, or with a step shorter than the tolerance.
     """
-    here, steps, before, least = start, 1, 0.0, damping
+    here, steps, before = start, 1, 0.0
     converged = False
     while steps < max_steps and not converged and damping * SETTINGS.exact < 1:
         step = here.step(damping)

@@ -17,7 +17,18 @@ import scipy.linalg
 import scipy.sparse
 
 from labkit.estimation.candidate import Measured
-from labkit.estimation.climb import NOISE, PER_FRAME, Problem, Solution, Start, State, sane
+from labkit.estimation.climb import (
+    NOISE,
+    PER_FRAME,
+    Position,
+    Problem,
+    Solution,
+    Start,
+    State,
+    Step,
+    climb,
+    sane,
+)
 from labkit.estimation.identifiability import inverse
 from labkit.estimation.likelihood import slopes
 from labkit.estimation.settings import SETTINGS
@@ -86,22 +97,18 @@ class Expansion:
         modes = self.state.waves.size
         return slice(modes, modes + self.optics.camera_parameters.size)
 
-    def newton(
-        self, precision: Floats, pull: Floats | float = 0.0
-    ) -> tuple[Floats, Floats]:
+    def newton(self, precision: Floats) -> tuple[Floats, Floats]:
         """Return Newton's step to the optimum, (p,), and the covariance there, (p, p).
 
         Parameters
         ----------
         precision : (camera,) inverse variances of the camera parameters' prior
-        pull : (camera,) gradient of the prior's log-likelihood at the state
         """
         at = np.arange(self.camera.start, self.camera.stop)
-        information, gradient = self.information.copy(), self.gradient.copy()
+        information = self.information.copy()
         information[at, at] += precision
-        gradient[at] += pull
         covariance = inverse(information)
-        return covariance @ gradient, covariance
+        return covariance @ self.gradient, covariance
 
     @cached_property
     def _optimum(self) -> tuple[Floats, Floats]:
@@ -207,10 +214,10 @@ class Expansion:
 
 
 def free_f_number(problem: Problem, start: Start, f_number_std: float) -> Freed:
-    """Climb by Newton's steps to a nearby optimum over all parameters, working f-number and camera parts included.
+    """Climb to a nearby optimum over all parameters, working f-number and camera parts included.
 
-    A step that leads down is halved. The first step uses rough slopes, later steps use exact ones. The image after the last
-    step is predicted from the slopes, not drawn. If the steps do not settle, `Freed.solution.converged` is False.
+    Steps are Newton's as long as they lead up, and Marquardt's after a step that led down. The first step uses rough slopes,
+    later steps use exact ones. The image after the last step is predicted from the slopes, not drawn.
 
     Parameters
     ----------
@@ -220,70 +227,109 @@ def free_f_number(problem: Problem, start: Start, f_number_std: float) -> Freed:
         about 0, as wide as cameras vary.
     """
     problem, start = _wide_enough(problem, start)
-    given, precision = _camera_prior(problem.model.optics, f_number_std)
-    best, taken, halvings = None, np.empty(0), 0
-    for rounds in range(1, SETTINGS.newton_rounds + 1):
-        expansion = expand(problem, start, exact=rounds > 1)
-        fallen = (
-            best is not None
-            and expansion.objective < best.objective - SETTINGS.same_optimum
-        )
-        if fallen and best is not None and halvings < 2 and rounds < SETTINGS.newton_rounds:
-            taken, halvings = 0.5 * taken, halvings + 1
-            problem, start = _stepped(problem, best, taken)
-            continue
-        step, covariance = expansion.newton(
-            precision, (given - expansion.optics.camera_parameters) * precision
-        )
-        step = expansion.within(step, covariance)
-        length = float(np.sqrt(step @ np.linalg.solve(covariance, step)))
-        near, cone = length < SETTINGS.slopes_stds, expansion.camera.stop - 1
-        close = abs(step[cone]) < SETTINGS.settled_stds * np.sqrt(covariance[cone, cone])
-        settled = rounds > 1 and near and close and not fallen
-        diverged = abs(step[cone]) > 3 * SETTINGS.loose or not expansion.sane_after(
-            step, start.state
-        )
-        if settled or fallen or diverged or rounds == SETTINGS.newton_rounds:
-            break
-        best, taken, halvings = expansion, step, 0
-        problem, start = _stepped(problem, expansion, step)
-    return _ended(
-        expansion, step if near else np.zeros_like(step), covariance, rounds, settled
+    begin = start if start.relative else problem.drawn(start.state)
+    prior = _camera_prior(problem.model.optics, f_number_std)
+    end, steps, converged = climb(
+        _Opened(problem, begin, start.state, *prior, exact=False),
+        tolerance=SETTINGS.settled_stds,
+        max_steps=SETTINGS.newton_rounds,
+        damping=0.0,
     )
+    return end.freed(steps, converged)
 
 
-def _ended(
-    expansion: Expansion, step: Floats, covariance: Floats, rounds: int, settled: bool
-) -> Freed:
-    """Return the end of a climb after a last step (p,), whose image is predicted from the slopes."""
-    problem, modes = expansion.problem, expansion.state.waves.size
-    state, relative = expansion.moved(step), expansion.foreseen(step)
-    others = np.delete(np.arange(len(step)), expansion.camera)
-    solution = Solution(
-        state,
-        problem.objective(state, relative),
-        expansion.information[np.ix_(others, others)],
-        relative,
-        problem.chi2_per_pixel(state, relative),
-        rounds,
-        settled,
-    )
-    measured = expansion.measured()
-    return Freed(
-        expansion,
-        solution,
-        expansion.optics_after(step),
-        covariance[:modes, :modes],
-        measured,
-        expansion.sandwich(measured),
-    )
+@dataclass(eq=False)
+class _Opened(Position):
+    """A position of a climb over all parameters.
 
+    Attributes
+    ----------
+    problem : frames and their model, with the optics of the position
+    at : the state; its drawing is kept until the slopes are known
+    first : state where the climb began
+    given, precision : (camera,) mean and inverse variance of the camera parameters' prior
+    exact : whether slopes cover the whole pass band
+    last : start of the last step and the step (p,), if the position was predicted from slopes
+    """
 
-def _stepped(problem: Problem, expansion: Expansion, step: Floats) -> tuple[Problem, Start]:
-    """Return the problem, and where to begin, after a step (p,) from an expansion."""
-    optics = expansion.optics_after(step)
-    model = with_optics_about(problem.model, optics, expansion.state)
-    return replace(problem, model=model), Start(expansion.moved(step))
+    problem: Problem
+    at: Start
+    first: State
+    given: Floats
+    precision: Floats
+    exact: bool = True
+    last: tuple[_Opened, Floats] | None = None
+
+    @cached_property
+    def objective(self) -> float:
+        """Log-likelihood of frames, noise calibration and camera; -inf at implausible positions."""
+        if not self.at.relative:
+            return -np.inf
+        away = self.problem.model.optics.camera_parameters - self.given
+        prior = -0.5 * float(self.precision @ away**2)
+        return self.problem.objective(self.at.state, self.at.relative) + prior
+
+    @cached_property
+    def expansion(self) -> Expansion:
+        """The likelihood about the position."""
+        expansion = expand(self.problem, self.at, exact=self.exact)
+        self.at = self.at.undrawn()
+        return expansion
+
+    def step(self, damping: float) -> Step:
+        expansion, at = self.expansion, self.expansion.camera
+        information, gradient = expansion.information.copy(), expansion.gradient.copy()
+        places = np.arange(at.start, at.stop)
+        information[places, places] += self.precision
+        away = expansion.optics.camera_parameters - self.given
+        gradient[at] -= self.precision * away
+        damped = information + np.diag(damping * np.diag(information))
+        covariance = inverse(damped)
+        change = expansion.within(covariance @ gradient, covariance)
+        square = float(change @ information @ change)
+        return Step(change, square**0.5, float(change @ gradient) - square / 2)
+
+    def moved(self, change: Floats) -> _Opened:
+        expansion = self.expansion
+        state, optics = expansion.moved(change), expansion.optics_after(change)
+        widened = abs(change[expansion.camera.stop - 1]) > 3 * SETTINGS.loose
+        if widened or not expansion.sane_after(change, self.first):
+            return replace(self, at=Start(state))
+        model = with_optics_about(self.problem.model, optics, expansion.state)
+        problem = replace(self.problem, model=model)
+        return replace(self, problem=problem, at=problem.drawn(state), exact=True)
+
+    def foreseen(self, change: Floats) -> _Opened | None:
+        if not self.exact:
+            return None
+        images = self.expansion.foreseen(change)
+        start = Start(self.expansion.moved(change), None, images)
+        return replace(self, at=start, last=(self, change))
+
+    def freed(self, steps: int, converged: bool) -> Freed:
+        """Summarise the position as the end of a climb."""
+        begun, step = self.last or (self, np.zeros_like(self.expansion.gradient))
+        expansion, modes = begun.expansion, self.at.state.waves.size
+        _, covariance = expansion.newton(self.precision)
+        measured, relative = expansion.measured(), self.at.relative
+        others = np.delete(np.arange(len(step)), expansion.camera)
+        solution = Solution(
+            self.at.state,
+            self.problem.objective(self.at.state, relative),
+            expansion.information[np.ix_(others, others)],
+            relative,
+            self.problem.chi2_per_pixel(self.at.state, relative),
+            steps,
+            converged,
+        )
+        return Freed(
+            expansion,
+            solution,
+            expansion.optics_after(step),
+            covariance[:modes, :modes],
+            measured,
+            expansion.sandwich(measured),
+        )
 
 
 def _camera_prior(optics: Optics, f_number_std: float) -> tuple[Floats, Floats]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from labkit.estimation import starts
 from labkit.estimation.candidate import Candidate, Measured
-from labkit.estimation.climb import NoisePrior, Problem, Start, State, maximize
+from labkit.estimation.climb import NoisePrior, Problem, Start, State
 from labkit.estimation.expansion import Freed, free_f_number
 from labkit.estimation.likelihood import FrameData, predict
 from labkit.estimation.residuals import Verdict, judge, residual_spectrum
@@ -325,15 +325,7 @@ class _Search:
             if len(state.poses) == len(self.views.poses) > 1
             else self._all_frames(state)
         )
-        freed = free_f_number(self.whole, Start(begin), self.guesses.f_number_std)
-        ended = freed.solution
-        # steps that still gain after all rounds have a poor model to go by: they are not repeated
-        if not ended.converged and ended.steps < SETTINGS.newton_rounds:
-            near = maximize(self.whole, begin, exact=False)
-            freed = free_f_number(
-                self.whole, near.begun or Start(near.state), self.guesses.f_number_std
-            )
-        return freed
+        return free_f_number(self.whole, Start(begin), self.guesses.f_number_std)
 
     def _lit(self, waves: Floats) -> State:
         """Return the state of a wavefront at known poses, its light fitted frame by frame."""
