@@ -227,10 +227,9 @@ def free_f_number(problem: Problem, start: Start, f_number_std: float) -> Freed:
         about 0, as wide as cameras vary.
     """
     problem, start = _wide_enough(problem, start)
-    begin = start if start.relative else problem.drawn(start.state)
     prior = _camera_prior(problem.model.optics, f_number_std)
     end, steps, converged = climb(
-        _Opened(problem, begin, start.state, *prior, exact=False),
+        _Opened(problem, problem.drawn(start.state), start.state, *prior, exact=False),
         tolerance=SETTINGS.settled_stds,
         max_steps=SETTINGS.newton_rounds,
         damping=0.0,
