@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from math import isfinite, sqrt
+from operator import attrgetter
 
 import numpy as np
 
 from labkit.optics import metrics
 from labkit.optics.metrics import Directed
+from labkit.optics.mtf import Direction
 from labkit.optics.orders import noll_to_fringe, noll_to_osa
 from labkit.optics.rim import Rim
 from labkit.optics.through_focus import DEPTH, sensor_shift_um
@@ -37,6 +39,7 @@ NO_LIMIT = "beyond any range"  # of a lens focused so far away that infinity is 
 PITCH_NOTE = "by the pixel pitch, which the plan states without an error"
 
 Cell = Callable[[ChannelFocus], str]
+Directional = Callable[[ChannelFocus, Direction], Uncertain]
 
 
 def focus_table(focused: Sequence[ChannelFocus], reference_nm: float) -> Table:
@@ -48,6 +51,13 @@ def focus_table(focused: Sequence[ChannelFocus], reference_nm: float) -> Table:
         holds = name == PERFECT or kind.get("exact") or kind.get("why")
         cells = tuple(cell(b) if b.fitted.noll or holds else NOT_FITTED for b in focused)
         return Row((name, unit, *cells), **kind)  # type: ignore[arg-type]
+
+    def directed(name: str, **kind: object) -> tuple[Row, Row]:
+        pair = attrgetter(name)
+        return (
+            row(name.capitalize(), "waves RMS", lambda b: _magnitude(pair(b.best)), **kind),
+            row("at", "degrees", lambda b: _angle(pair(b.best)), beside=True),
+        )
 
     rows = (
         row(
@@ -63,14 +73,9 @@ def focus_table(focused: Sequence[ChannelFocus], reference_nm: float) -> Table:
         row(at, "waves", lambda b: estimated(b.best.rms, least=4), beside=True),
         row("P–V", "nm", lambda b: estimated(b.best.peak_to_valley, reference_nm)),
         row(at, "waves", lambda b: estimated(b.best.peak_to_valley, least=3), beside=True),
-        row(
-            "Astigmatism", "waves RMS", lambda b: _magnitude(b.best.astigmatism), first=True
-        ),
-        row("at", "degrees", lambda b: _angle(b.best.astigmatism), beside=True),
-        row("Coma", "waves RMS", lambda b: _magnitude(b.best.coma)),
-        row("at", "degrees", lambda b: _angle(b.best.coma), beside=True),
-        row("Trefoil", "waves RMS", lambda b: _magnitude(b.best.trefoil)),
-        row("at", "degrees", lambda b: _angle(b.best.trefoil), beside=True),
+        *directed("astigmatism", first=True),
+        *directed("coma"),
+        *directed("trefoil"),
         *_mtf_rows(row),
         row(within, "µm radius", lambda b: estimated(b.best.energy_radius()), first=True),
         row(
@@ -85,49 +90,39 @@ def focus_table(focused: Sequence[ChannelFocus], reference_nm: float) -> Table:
 
 def _mtf_rows(row: Callable[..., Row]) -> tuple[Row, ...]:
     """Return MTF50 and the MTF at Nyquist's frequency, of the optics and with the pixel."""
+
+    def along(
+        name: str, unit: str, cell: Directional, least: int = 0, **kind: object
+    ) -> tuple[Row, Row]:
+        return (
+            row(
+                f"{name} along x",
+                unit,
+                lambda b: estimated(cell(b, "x"), least=least),
+                **kind,
+            ),
+            row("along y", unit, lambda b: estimated(cell(b, "y"), least=least)),
+        )
+
+    def limit(unit: str, number: Callable[[ChannelFocus], Uncertain]) -> Row:
+        return row(PERFECT, unit, lambda b: _ideal(number(b)), beside=True)
+
+    per_mm = "cycles/mm"
+    nyquist = "Nyquist of its own pixels"
     return (
+        *along("MTF50 of the optics", per_mm, ChannelFocus.mtf50, first=True),
+        limit(per_mm, lambda b: b.best.ideal.mtf50("x")),
+        *along("MTF50 with the pixel", per_mm, ChannelFocus.camera_mtf50),
         row(
-            "MTF50 of the optics along x",
-            "cycles/mm",
-            lambda b: estimated(b.mtf50("x")),
-            first=True,
-        ),
-        row("along y", "cycles/mm", lambda b: estimated(b.mtf50("y"))),
-        row(
-            PERFECT,
-            "cycles/mm",
-            lambda b: _ideal(b.best.ideal.mtf50("x")),
-            beside=True,
-        ),
-        row(
-            "MTF50 with the pixel along x",
-            "cycles/mm",
-            lambda b: estimated(b.camera_mtf50("x")),
-        ),
-        row("along y", "cycles/mm", lambda b: estimated(b.camera_mtf50("y"))),
-        row(
-            "Nyquist of its own pixels",
-            "cycles/mm",
+            nyquist,
+            per_mm,
             lambda b: fixed(b.nyquist_per_mm, 1),
             why=PITCH_NOTE,
             first=True,
         ),
-        row(
-            "MTF there, optics along x", "", lambda b: estimated(b.at_nyquist("x"), least=3)
-        ),
-        row("along y", "", lambda b: estimated(b.at_nyquist("y"), least=3)),
-        row(
-            PERFECT,
-            "",
-            lambda b: _ideal(b.best.ideal.mtf_at(b.nyquist_per_mm, "x")),
-            beside=True,
-        ),
-        row(
-            "MTF there, with the pixel along x",
-            "",
-            lambda b: estimated(b.camera_at_nyquist("x"), least=3),
-        ),
-        row("along y", "", lambda b: estimated(b.camera_at_nyquist("y"), least=3)),
+        *along("MTF there, optics", "", ChannelFocus.at_nyquist, least=3),
+        limit("", lambda b: b.best.ideal.mtf_at(b.nyquist_per_mm, "x")),
+        *along("MTF there, with the pixel", "", ChannelFocus.camera_at_nyquist, least=3),
     )
 
 

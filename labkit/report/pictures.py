@@ -113,23 +113,10 @@ def opd_picture(
     title: str = "",
 ) -> Figure:
     """Path difference over the pupil of channels side by side, one colour scale, in waves and nanometres."""
-    count = len(wavefronts)
-    side = (THIRD_IN - 0.1) / count
-    height = side + (0.85 if title else 0.7)
-    figure = Figure(figsize=(THIRD_IN, height))
-    if title:
-        figure.text(
-            0.02, 1 - 0.13 / height, title, fontweight="bold", fontsize=9, va="center"
-        )
-    for k, (channel, w) in enumerate(wavefronts.items()):
-        axes = figure.add_axes(
-            (
-                (0.05 + k * side) / THIRD_IN,
-                0.47 / height,
-                0.96 * side / THIRD_IN,
-                side / height,
-            )
-        )
+    figure, sides, height = _side_by_side(
+        len(wavefronts), 0.47, 0.85 if title else 0.7, title
+    )
+    for axes, (channel, w) in zip(sides, wavefronts.items(), strict=True):
         axes.set_axis_off()
         path = opd_map(w, MAP_SAMPLES).value
         image = axes.imshow(
@@ -140,6 +127,27 @@ def opd_picture(
         )
     _colour_bar(figure, image, height, reference_nm)
     return figure
+
+
+def _side_by_side(
+    count: int, below_in: float, more_in: float, title: str
+) -> tuple[Figure, list[Axes], float]:
+    """Return a figure, square axes in a row, and its height. below_in, more_in: room below them, and in all."""
+    side = (THIRD_IN - 0.1) / count
+    height = side + more_in
+    figure = Figure(figsize=(THIRD_IN, height))
+    if title:
+        figure.text(
+            0.02, 1 - 0.13 / height, title, fontweight="bold", fontsize=9, va="center"
+        )
+    width = 0.96 * side / THIRD_IN
+    axes = [
+        figure.add_axes(
+            ((0.05 + k * side) / THIRD_IN, below_in / height, width, side / height)
+        )
+        for k in range(count)
+    ]
+    return figure, axes, height
 
 
 def _colour_bar(
@@ -179,31 +187,18 @@ def psf_picture(
     title: str,
 ) -> Figure:
     """PSFs of channels side by side, all of one extent; each stretched to its own peak; the first has a scale."""
-    count = len(wavefronts)
-    side, top = (THIRD_IN - 0.1) / count, 0.26
-    figure = Figure(figsize=(THIRD_IN, side + top + 0.05))
-    height = side + top + 0.05
-    figure.text(0.02, 1 - 0.13 / height, title, fontweight="bold", fontsize=9, va="center")
-    for k, (channel, w) in enumerate(wavefronts.items()):
-        axes = figure.add_axes(
-            (
-                (0.05 + k * side) / THIRD_IN,
-                0.05 / height,
-                0.96 * side / THIRD_IN,
-                side / height,
-            )
-        )
+    figure, sides, _ = _side_by_side(len(wavefronts), 0.05, 0.31, title)
+    for axes, (channel, w) in zip(sides, wavefronts.items(), strict=True):
         axes.set(xticks=[], yticks=[])
         axes.grid(False)
         for spine in axes.spines.values():
             spine.set(visible=True, color="#c4c8cc")
         _psf(axes, w, half_width_um, inks[channel])
-        if count > 1:
+        if len(sides) > 1:
             axes.text(
                 0.03, 0.97, channel, fontweight="bold", va="top", transform=axes.transAxes
             )
-        if k == 0:
-            _scale_bar(axes, half_width_um)
+    _scale_bar(sides[0], half_width_um)
     return figure
 
 
