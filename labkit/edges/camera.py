@@ -13,11 +13,10 @@ from labkit.calibration.photon_transfer import (
     usual_read_variance,
 )
 from labkit.edges.edge_fit import LensPrior
-from labkit.edges.ranges import FOCI, ZERO, FocusLaw
+from labkit.edges.ranges import FOCI, FocusLaw
 from labkit.estimation.climb import NoisePrior
 from labkit.estimation.stated import optics_of
 from labkit.imaging.optics import Optics
-from labkit.imaging.parts import Part
 from labkit.optics.lens import USUAL_LOG_MAGNIFICATION, ThinLens
 from labkit.optics.wavefront import DEFOCUS
 from labkit.plan import Plan, leading_channel
@@ -44,24 +43,29 @@ class Camera:
 def camera_of(
     plan: Plan, channel: str, results: Results | None, white: float, focus_mm: float | None
 ) -> Camera:
-    """A channel's light and lens; of a lens that no session measured, the usual modes' prior.
+    """Return a channel's optics, lens and noise; the prior of usual modes for a lens that no session measured.
 
-    white: counts above black at saturation. focus_mm: what the lens is focused at, for its cone.
+    Parameters
+    ----------
+    plan, channel : the camera
+    results : of a session with the same lens
+    white : counts above black at saturation
+    focus_mm : range at which the lens is focused, for its working f-number
     """
     noise = NoisePrior(
         usual_gain(white), UNKNOWN_NOISE_STD, usual_read_variance(white), UNKNOWN_NOISE_STD
     )
     if results is None:
         optics = optics_of(plan, channel)
-        cone = (
-            optics.f_number
-            if focus_mm is None
-            else float(_thin(plan).working_f_number(focus_mm))
-        )
+        f_number = optics.f_number
+        if focus_mm is not None:
+            f_number = float(_thin(plan).working_f_number(focus_mm))
         noll = (DEFOCUS, *(j for j in optics.noll if j != DEFOCUS))
-        given = (*optics.given, *_cameras(optics))
+        # a low-pass filter that the plan leaves to a fit: edges do not determine it
+        filters = [p for p in optics.parts if p.name.startswith("low_pass_filter")]
+        given = (*optics.given, *filters)
         optics = replace(
-            optics, noll=noll, f_number=cone, given=given, parts=(), panel=None
+            optics, noll=noll, f_number=f_number, given=given, parts=(), panel=None
         )
         return Camera(channel, optics, LensPrior.unknown(len(noll) - 1), noise, given=False)
     wavefront = results.best_known(channel)
@@ -73,11 +77,6 @@ def camera_of(
     return Camera(channel, optics, LensPrior(modes.waves, covariance), noise, given=True)
 
 
-def _cameras(optics: Optics) -> tuple[Part, ...]:
-    """Parts that a plan leaves to a fit, where there is no carpet to fit them to: as they begin."""
-    return tuple(part for part in optics.parts if part.name.startswith("low_pass_filter"))
-
-
 def _thin(plan: Plan) -> ThinLens:
     return ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
 
@@ -85,50 +84,42 @@ def _thin(plan: Plan) -> ThinLens:
 def focus_law(
     plan: Plan, results: Results | None, channels: tuple[str, ...], focus: Uncertain | None
 ) -> FocusLaw | None:
-    """The lens focused as the session left it, or at a stated range; None where neither says.
+    """Return the law of the lens focused as in the session, or at a stated range; None if neither is known.
 
-    A stated range is that of green, or of the first channel; the others' best foci keep their distances in the session, and
-    without one are unknown: then the law is of that channel alone.
+    A stated range is that of green, or of the first channel. The other best foci keep their distances in the session; without
+    one they are unknown, and the law is of that channel alone.
     """
-    known = {} if results is None or results.focus is None else results.focus.best_focus_mm
-    known = {name: known[name] for name in channels if name in known}
+    best = {} if results is None or results.focus is None else results.focus.best_focus_mm
+    known = {name: best[name] for name in channels if name in best}
     if focus is None and not known:
         return None
     names = tuple(known) or (leading_channel(channels),)
     lens, spread, zero = _lens(plan, results)
-    size = FOCI + len(names)
-    covariance = np.zeros((size, size))
-    covariance[:ZERO, :ZERO] = np.diag(spread**2)
-    covariance[ZERO, ZERO] = zero.std**2
-    foci = (
-        np.array([known[name].value for name in names]) if known else np.zeros(len(names))
-    )
-    if known:
-        covariance[FOCI:, FOCI:] = np.diag([known[name].std ** 2 for name in names])
+    each = [known.get(name, Uncertain(0.0, 0.0)) for name in names]
+    foci = np.array([mm.value for mm in each])
+    covariance = np.diag([*spread**2, zero.std**2, *(mm.std**2 for mm in each)])
     if focus is not None:
-        reference = names.index(leading_channel(names))
-        foci = foci - foci[reference] + focus.value
-        covariance[FOCI:, FOCI:] += (0.0 if np.isnan(focus.std) else focus.std) ** 2
-    reference_nm = (
-        plan.reference_wavelength_nm if results is None else results.reference_wavelength_nm
-    )
-    foci_mm = tuple(float(mm) for mm in foci)
+        foci += focus.value - foci[names.index(leading_channel(names))]
+        covariance[FOCI:, FOCI:] += np.nan_to_num(focus.std) ** 2
     return FocusLaw(
-        lens, names, foci_mm, covariance, reference_nm, plan.fit.convention, zero.value
+        lens,
+        names,
+        tuple(foci.tolist()),
+        covariance,
+        (plan if results is None else results).reference_wavelength_nm,
+        plan.fit.convention,
+        zero.value,
     )
 
 
 def _lens(plan: Plan, results: Results | None) -> tuple[ThinLens, Floats, Uncertain]:
-    """The lens, standard errors of the logarithms of its three numbers, and what the scale of ranges lacks."""
-    if results is None or results.lens is None:
-        f, n = plan.lens.stated_focal_length, plan.lens.stated_f_number
-        spread = np.array([f.std / f.value, n.std / n.value, USUAL_LOG_MAGNIFICATION])
-        return (
-            _thin(plan),
-            spread,
-            Uncertain(0.0, plan.fit.range_zero_std_mm if results else 0.0, "mm"),
-        )
-    of = results.lens
-    numbers = (of.focal_length, of.f_number, of.pupil_magnification)
-    spread = np.array([min(x.std / x.value, USUAL_LOG_MAGNIFICATION) for x in numbers])
-    return of.thin, spread, of.range_zero
+    """Return the lens, standard errors of the logarithms of its three numbers, and the zero of the scale of ranges."""
+    if results is not None and results.lens is not None:
+        of = results.lens
+        numbers = (of.focal_length, of.f_number, of.pupil_magnification)
+        spread = [min(x.std / x.value, USUAL_LOG_MAGNIFICATION) for x in numbers]
+        return of.thin, np.array(spread), of.range_zero
+    f, n = plan.lens.stated_focal_length, plan.lens.stated_f_number
+    spread = [f.std / f.value, n.std / n.value, USUAL_LOG_MAGNIFICATION]
+    zero_std = plan.fit.range_zero_std_mm if results else 0.0
+    return _thin(plan), np.array(spread), Uncertain(0.0, zero_std, "mm")

@@ -19,7 +19,7 @@ WIDE_PT, RIM_PT = 4.0, 6.5
 
 
 def draw_depth_map(grey: Floats, outcome: EdgesOutcome) -> Figure:
-    """Each edge in the colour of its range, over the picture in grey; where none has a range, in that of its defocus.
+    """Draw each edge in the colour of its range over the grey picture; without ranges, in that of its defocus.
 
     grey: (rows, columns) about 0 to 1, of the raw's pixels. Rejected boxes are drawn dashed.
     """
@@ -88,7 +88,7 @@ def _labels(edges: Sequence[MeasuredEdge], label: str) -> list[str]:
 
 
 def _words(edge: MeasuredEdge) -> str:
-    """The range, and the other one where there is one."""
+    """Return the range, and the other range if there is one."""
     if not np.isfinite(edge.range_mm.value):
         return ""
     other = (
@@ -98,6 +98,6 @@ def _words(edge: MeasuredEdge) -> str:
 
 
 def _outline(box: Box) -> tuple[list[float], list[float]]:
-    """Columns and rows around a box."""
+    """Return columns and rows around a box."""
     r0, c0, r1, c1 = (x - 0.5 for x in box)
     return [c0, c1, c1, c0, c0], [r0, r0, r1, r1, r0]

@@ -19,7 +19,7 @@ AS_LIKELY = 20.0  # of twice a log-likelihood: a side that is less likely by mor
 SAME_RANGE = 1.0  # standard errors: ranges nearer to each other are one
 FARTHEST_RANGE_MM = 1e9
 NEWTON_STEPS = 6  # of Newton, in 1 / range
-TINY = 1e-3  # share of a variance that colours do not have in common, whatever a correlation says
+NOT_SHARED = 1e-3  # share of a variance that colours do not have in common, whatever a correlation says
 NEAREST_RANGE = 1.02  # focal lengths
 ZERO, FOCI = 3, 4
 """Of a law's numbers: logarithms of focal length, f-number and pupil magnification; the scale's zero; the best foci."""
@@ -52,7 +52,7 @@ class FocusLaw:
             )
 
     def defocus(self, channel: str, range_mm: float) -> float:
-        """Waves RMS at the reference, of a range: positive beyond best focus."""
+        """Return the defocus of a range, waves RMS at the reference: positive beyond best focus."""
         focus, zero = self.focus_mm[self.channels.index(channel)], self.zero_mm
         return float(
             defocus_waves(
@@ -83,7 +83,7 @@ class FocusLaw:
         return float(1 / inverse)
 
     def varied(self, step: Floats) -> "FocusLaw":
-        """The law after a step in what its covariance is of."""
+        """Return the law after a step in the numbers of its covariance."""
         f, n, pupils = np.exp(step[:ZERO])
         old = self.lens
         lens = ThinLens(
@@ -117,10 +117,21 @@ def edge_range(
     sides: Sequence[tuple[str, Sequence[Side]]],
     correlation: Floats | None = None,
 ) -> EdgeRange:
-    """The range of an edge from its defocus in one colour or several. sides: of each colour its name and the ends of its fit.
+    """Return the range of an edge from its defocus in one colour or several.
 
-    correlation: (colours, colours) of the errors of defocus, where a wavefront in common makes them alike; none without it.
-    A range that no side has (beyond infinity) is nan. Raises ValueError for no colour.
+    Parameters
+    ----------
+    law : of the lens
+    sides : name of each colour and the sides of best focus that it may be on
+    correlation : (colours, colours) of the errors of defocus, for a common wavefront; None for separate fits
+
+    Returns
+    -------
+    the range, nan if no side has one (beyond infinity)
+
+    Raises
+    ------
+    ValueError : no colour
     """
     if not sides or not all(ends for _, ends in sides):
         raise ValueError("one colour or more, each with one side or more, are needed")
@@ -130,21 +141,19 @@ def edge_range(
     found = []
     for chosen in product(*(ends for _, ends in sides)):
         std = np.array([end.std for end in chosen])
-        sign = np.sign(
-            [end.defocus for end in chosen]
-        )  # on the other side errors are reversed with it
-        shared = correlation * np.outer(std * sign, std * sign)
-        weight = np.asarray(np.linalg.inv(shared + TINY * np.diag(std**2)), np.float64)
         defocus = np.array([end.defocus for end in chosen])
+        # on the other side errors are reversed with the defocus
+        signed = std * np.sign(defocus)
+        shared = correlation * np.outer(signed, signed) + NOT_SHARED * np.diag(std**2)
+        weight = np.asarray(np.linalg.inv(shared), np.float64)
         value = _common_range(law, names, defocus, weight)
         if not np.isfinite(value):
             continue
         left = defocus - [law.defocus(name, value) for name in names]
-        lost = 2 * sum(
-            top - end.log_likelihood for top, end in zip(best, chosen, strict=True)
-        )
+        lost = sum(top - end.log_likelihood for top, end in zip(best, chosen, strict=True))
         error = _error(law, names, defocus, weight, value)
-        found.append((float(left @ weight @ left) + lost, Uncertain(value, error, "mm")))
+        cost = float(left @ weight @ left) + 2 * lost
+        found.append((cost, Uncertain(value, error, "mm")))
     if not found:
         return EdgeRange(Uncertain(np.nan, np.inf, "mm"), None)
     found.sort(key=lambda of: round(of[0], 3))  # of equal ones the fit's own
@@ -215,8 +224,7 @@ def _error(
 
 
 def symmetric_error(defocus: float, std: float) -> float:
-    """Standard error of a defocus that only its square is known of, as where no other even mode is: std as the information at
-    the estimate has it, which is too large near zero.
+    """Return the standard error of a defocus of which only the square is determined, as without other even modes.
 
     The likelihood is then exp(-(x^2 - d^2)^2 / (2 s^2)), s = 2 |d| std; its own width about zero is the root of s.
     """

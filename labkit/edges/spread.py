@@ -47,7 +47,7 @@ def camera_slice(
     frequency: Floats,
     lens_only: bool = False,
 ) -> Slice:
-    """The slice at frequencies (f,), cycles/um, that need not be in order.
+    """Return the slice at frequencies (f,), cycles/um, in any order.
 
     waves: (modes,) RMS at the reference; azimuth: radians from x (right) towards y (down). lens_only: without pixel and camera.
     Thesis §5.2.3, with the active pixel in the place of the sampling period (2.45, corrected).
@@ -70,7 +70,7 @@ def camera_slice(
 def _lens_slice(
     optics: Optics, waves: Floats, azimuth: float, frequency: Floats, node: float
 ) -> tuple[Complexes, Complexes]:
-    """In one light: its value, and its slopes by the modes and the azimuth; 0 beyond the cutoff."""
+    """Return the lens's value in one wavelength, and its slopes by modes and azimuth; 0 beyond the cutoff."""
     wavefront = wavefront_of(optics, waves, node)
     cutoff = wavefront.cutoff_per_mm * 1e-3
     count = SLICE_NODES + int(NODES_PER_STEEPNESS * steepness(wavefront))
@@ -98,7 +98,7 @@ def _lens_slice(
 
 
 def wavefront_of(optics: Optics, waves: Floats, node: float = 1.0) -> FittedWavefront:
-    """The wavefront without errors, in one of the light's wavelengths relative to the nominal one."""
+    """Return the wavefront without errors, in one of the light's wavelengths relative to the nominal one."""
     none = np.zeros((len(optics.noll), len(optics.noll)))
     return FittedWavefront(
         optics.noll,
@@ -175,7 +175,7 @@ def edge_spread(
 
 
 def _other_edges(x: Floats) -> tuple[Floats, Floats]:
-    """1/sin x - 1/x and its slope: the tails, falling as 1/r, of all other edges of a train of alternating ones."""
+    """Return 1/sin x - 1/x and its slope: the tails, falling as 1/r, of the other edges of a train of alternating ones."""
     terms = (1 / 6, 7 / 360, 31 / 15120, 127 / 604800, 73 / 3421440)
     value = sum(c * x ** (2 * k + 1) for k, c in enumerate(terms))
     slope = sum((2 * k + 1) * c * x ** (2 * k) for k, c in enumerate(terms))

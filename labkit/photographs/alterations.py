@@ -159,7 +159,7 @@ def edge_overshoot(plane: ArrayLike) -> float:
 
 
 def _rounding(mosaic: Photograph, level: Floats) -> Floats:
-    """(tiles,) variance of rounding at those levels."""
+    """Return the variance (tiles,) of rounding at those levels."""
     return (
         np.full(level.shape, 1 / 12)
         if mosaic.tone is None
@@ -168,7 +168,9 @@ def _rounding(mosaic: Photograph, level: Floats) -> Floats:
 
 
 def _spectra(tiles: Floats) -> Floats:
-    """(tiles, size, size) power, so that white noise has its variance at every frequency; a tile's slope is taken off."""
+    """Return power (tiles, size, size), in which white noise has its variance at every frequency; a tile's slope is
+    subtracted.
+    """
     size = tiles.shape[-1]
     ramp = np.broadcast_to(np.linspace(-1.0, 1.0, size), (size, size))
     level = tiles - tiles.mean(axis=(1, 2), keepdims=True)
@@ -182,7 +184,7 @@ def _spectra(tiles: Floats) -> Floats:
 
 
 def _band(power: Floats, first: tuple[float, float], second: tuple[float, float]) -> Floats:
-    """(tiles,) mean power where the frequencies along rows and along columns lie in these bands, cycles per pixel."""
+    """Return the mean power (tiles,) in bands of frequencies along rows and along columns, cycles per pixel."""
     frequency = np.abs(np.fft.fftfreq(power.shape[-1]))
     along, across = (
         (frequency >= low) & (frequency <= high) for low, high in (first, second)
@@ -191,7 +193,7 @@ def _band(power: Floats, first: tuple[float, float], second: tuple[float, float]
 
 
 def _periodic(plane: Counts, places: NDArray[np.intp], compressed: bool) -> float:
-    """How much the strength of differences in these tiles repeats from column to column, or from row to row.
+    """Return how much the strength of differences in these tiles repeats from column to column, or from row to row.
 
     Second differences of pixels that were made at the same places between old ones are as strong; where those places lie
     symmetrically, as in twice as many pixels, first differences decide.
@@ -213,7 +215,7 @@ def _periodic(plane: Counts, places: NDArray[np.intp], compressed: bool) -> floa
 
 
 def _strongest_period(strength: Floats, compressed: bool) -> float:
-    """Power of the strongest period of 10 or fewer pixels over the median's.
+    """Return the power of the strongest period of 10 or fewer pixels, relative to the median's.
 
     compressed: without those of JPEG's blocks of eight, seen through tiles.
     """

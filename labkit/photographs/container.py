@@ -89,7 +89,7 @@ def _recognise(path: Path) -> Container:
 
 
 def _recognise_tiff(path: Path) -> Container:
-    """A raw file in TIFF's clothes, or a plain TIFF."""
+    """Recognise a raw file in TIFF's form, or a plain TIFF."""
     try:
         with tifffile.TiffFile(path) as tiff:
             first = tiff.pages.first

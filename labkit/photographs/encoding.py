@@ -61,14 +61,14 @@ def read_encoding(path: Path) -> Encoding:
 
 
 def srgb(stored: Floats) -> Floats:
-    """sRGB's curve, IEC 61966-2-1: light, 0 to 1, by the number stored, 0 to 1."""
+    """Return sRGB's curve, IEC 61966-2-1: light, 0 to 1, by the stored number, 0 to 1."""
     return np.where(
         stored <= 0.04045, stored / 12.92, ((np.maximum(stored, 0) + 0.055) / 1.055) ** 2.4
     )
 
 
 def profile_curves(icc: bytes) -> tuple[Curve, ...]:
-    """The tone curves of an ICC profile: three of R, G, B, or one of grey (ICC.1:2010, 10.5 and 10.15).
+    """Return the tone curves of an ICC profile: three of R, G, B, or one of grey (ICC.1:2010, 10.5 and 10.15).
 
     Raises InputError for a profile that has none, or that is damaged.
     """
@@ -92,7 +92,7 @@ def profile_curves(icc: bytes) -> tuple[Curve, ...]:
 
 
 def profile_name(icc: bytes) -> str:
-    """A profile's own name, such as Adobe RGB (1998); empty where it cannot be read."""
+    """Return a profile's own name, such as Adobe RGB (1998); empty if it cannot be read."""
     try:
         data = _tags(icc).get(b"desc", b"")
         if data.startswith(b"mluc"):
@@ -116,7 +116,7 @@ def _tags(icc: bytes) -> dict[bytes, bytes]:
 
 
 def _curve(data: bytes) -> Curve:
-    """A curveType or a parametricCurveType."""
+    """Return the curve of a curveType or a parametricCurveType."""
     kind, values = data[:4], data[8:]
     if kind == b"curv":
         (count,) = struct.unpack_from(">I", values)
@@ -138,7 +138,7 @@ def _curve(data: bytes) -> Curve:
 
 
 def _parametric(function: int, numbers: list[float]) -> Curve:
-    """ICC.1:2010, table 65: a power of a line, and below d another line."""
+    """Return ICC.1:2010, table 65: a power of a line, and below d another line."""
     g, a, b, c, d, e, f = [*numbers, *[1.0, 0.0, 0.0, 0.0, 0.0, 0.0][len(numbers) - 1 :]]
     if function in (1, 2):  # c is then what is added, above and below
         d, e, f, c = -b / a, c if function == 2 else 0.0, c if function == 2 else 0.0, 0.0
@@ -151,7 +151,7 @@ def _parametric(function: int, numbers: list[float]) -> Curve:
 
 
 def _of_png(chunks: dict[bytes, bytes]) -> Encoding:
-    """A profile before sRGB, and sRGB before a gamma, as PNG has it."""
+    """Return a PNG's encoding: a profile before sRGB, and sRGB before a gamma."""
     if profile := chunks.get(b"iCCP"):
         packed = profile.partition(b"\0")[2][1:]
         unpacking = zlib.decompressobj()

@@ -99,7 +99,7 @@ def of_tags(tags: Mapping[int, Any]) -> Exif:
 
 
 def _tags(file: BinaryIO) -> dict[int, Any]:
-    """The first directory of a TIFF structure and the Exif directory that it names; nothing of a damaged one."""
+    """Return the first directory of a TIFF structure with its Exif directory; nothing of a damaged one."""
     exif = Image.Exif()
     with warnings.catch_warnings():
         warnings.simplefilter(
@@ -160,7 +160,7 @@ def _text(value: Any) -> str:
 
 
 def _joined(tags: Mapping[int, Any], maker: int, model: int) -> str:
-    """A maker before a model, unless the model's name begins with it."""
+    """Return a maker before a model, unless the model's name begins with the maker's."""
     made, name = _text(tags.get(maker)), _text(tags.get(model))
     return (
         name

@@ -77,7 +77,7 @@ class Picture:
 
 
 def format_of(head: bytes) -> Format | None:
-    """The format of a file that begins with these bytes, four or more; None for any other."""
+    """Return the format of a file that begins with these bytes, four or more; None for any other."""
     if head.startswith(PNG[:4]):
         return "png"
     if head.startswith((b"P2", b"P5")):
@@ -178,7 +178,7 @@ def _read_png(content: bytes, most_pixels: int, processed: bool) -> Picture:
 
 
 def png_chunks(content: bytes) -> list[tuple[bytes, bytes, bytes]]:
-    """(name, data, whole) of each chunk of a PNG. Raises InputError unless all are there and fit their checksums."""
+    """Return (name, data, whole) of each chunk of a PNG. Raises InputError for missing chunks and wrong checksums."""
     at, name = len(PNG), b""
     chunks: list[tuple[bytes, bytes, bytes]] = []
     while name != b"IEND":
@@ -244,7 +244,7 @@ def _read_pgm(content: bytes, most_pixels: int) -> Picture:
 
 
 def _plain_numbers(text: bytes, needed: int) -> NDArray[np.float64]:
-    """The first numbers of a PGM that is written in digits."""
+    """Return the first numbers of a PGM written in digits."""
     if wrong := re.search(rb"[^\d\s]|\d{6}", text):
         raise InputError(f"{DAMAGED}: {shown(wrong[0])} stands among its numbers")
     numbers = np.fromstring(text, np.float64, sep=" ") if text.strip() else np.zeros(0)

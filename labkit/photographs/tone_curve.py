@@ -33,7 +33,7 @@ class ToneCurve:
     def linear(
         self, numbers: Counts | np.ndarray[tuple[int, ...], np.dtype[np.uint8]]
     ) -> Counts:
-        """Counts proportional to light, of the numbers' shape; the last axis is the colours' where each has a curve."""
+        """Return counts proportional to light, of the numbers' shape; the last axis is the colours' if each has a curve."""
         tables = np.rint(self.levels).astype(np.uint16)
         if len(tables) == 1:
             return np.asarray(tables[0][numbers])
@@ -46,7 +46,7 @@ class ToneCurve:
         return ToneCurve(self.name, self.levels[plane % len(self.levels)][None])
 
     def rounding_variance(self, counts: Counts | Floats) -> Floats:
-        """Counts², of the shape of the counts: of the rounding to stored numbers, seen through the curve's slope.
+        """Return the variance of rounding to stored numbers, counts² of the shape of the counts, by the curve's slope.
 
         A number stands for all light from halfway to the one below to halfway to the one above. Of a curve of one colour.
         """
@@ -90,7 +90,7 @@ def stated_curve(encoding: Encoding, white: int) -> ToneCurve:
 def measured_curve(
     light: Sequence[float], numbers: Sequence[Sequence[float]], white: int
 ) -> ToneCurve:
-    """Through measured points, of numbers from 0 to white.
+    """Return the curve through measured points, of numbers from 0 to white.
 
     light: rising; numbers: rising, shares of full scale, for each colour. Smooth and never falling between the points
     (Fritsch and Butland, SIAM J. Sci. Stat. Comput. 5, 1984), straight beyond them; light is 0 where the number is.

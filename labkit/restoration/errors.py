@@ -78,7 +78,7 @@ def standard_errors(
 def _even(
     small: Views, coupling: Floats, stiffness: float, weights: Floats
 ) -> tuple[Floats, Floats]:
-    """(components, step, step) variance of a cell's samples, and the penalty's share of it, where weights are even."""
+    """Return the variance (components, step, step) of a cell's samples, and the penalty's share of it, for even weights."""
     grid = small.grid
     longest = max(side / grid.samples for side in grid.shape)
     rough = stiffness / grid.samples**2
@@ -111,12 +111,12 @@ def _even(
 
 
 def _repeated(cells: Complexes, half: int, times: int) -> Complexes:
-    """A filter on cells as a half plane of fine samples."""
+    """Return a filter on cells as a half plane of fine samples."""
     return np.tile(cells, (1, times))[np.arange(half) % len(cells)]
 
 
 def _over_cells(kernel: AnyFloats, step: int) -> Floats:
-    """(step, step) a kernel summed over its places in all cells."""
+    """Return the sum (step, step) of a kernel over its places in all cells."""
     rows, columns = (side // step for side in kernel.shape)
     return np.asarray(
         kernel.reshape(rows, step, columns, step).sum(axis=(0, 2), dtype=np.float64)
@@ -124,7 +124,7 @@ def _over_cells(kernel: AnyFloats, step: int) -> Floats:
 
 
 def _spread_out(values: Floats, at: Floats, level: Floats, step: int) -> Floats32:
-    """(components, rows, columns) samples of cells with a level each, from values (levels, components, step, step)."""
+    """Return samples (components, rows, columns) of cells with a level each, by values (levels, components, step, step)."""
     place = np.zeros(level.shape) if len(at) == 1 else (level - at[0]) / (at[1] - at[0])
     below = np.clip(place.astype(int), 0, max(len(at) - 2, 0))
     above = np.minimum(below + 1, len(at) - 1)

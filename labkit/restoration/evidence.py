@@ -26,7 +26,7 @@ FIRST_DECADE, DECADE_STEP, MOST_DECADES = (
 
 
 def unlikeliness(views: Views, coupling: Floats) -> float:
-    """Minus the log-likelihood of counts, but for a constant: of random scenes as contrasty and as smooth as suits best.
+    """Return minus the log-likelihood of counts over random scenes of the most suitable contrast and smoothness.
 
     Not more contrasty than light can be: any blur of a few tens of pixels looks likely where scenes may be a thousand times as
     contrasty as their pictures.
@@ -37,7 +37,7 @@ def unlikeliness(views: Views, coupling: Floats) -> float:
 
 
 def _least(trial: Trial) -> float:
-    """Downhill by steps of the stiffness, then of the parabola through the lowest three."""
+    """Return the minimum, downhill by steps of the stiffness, then by the parabola through the lowest three."""
     lowest = np.log10(trial.contrast_of_one() / CONTRAST**2 / trial.unit)
 
     def unlikely(decade: float) -> float:

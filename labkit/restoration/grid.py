@@ -108,13 +108,13 @@ class SceneGrid:
         return share
 
     def whole(self, transfer: AnyComplexes) -> Complexes64:
-        """A transfer function on the torus's band as a half plane: no light at Nyquist's row."""
+        """Return a transfer function on the torus's band as a half plane, 0 at Nyquist's row."""
         half = np.zeros((self.shape[0] // 2 + 1, self.shape[1]), np.complex64)
         half[: len(transfer)] = transfer
         return half
 
     def shifted(self, transfer: Complexes64, shift_px: tuple[float, float]) -> Complexes64:
-        """The same where a picture stands shifted, pixels down and right."""
+        """Return a transfer function with a shift, pixels down and right."""
         down, right = (
             np.exp(-2j * np.pi * by * w).astype(np.complex64)
             for by, w in zip(shift_px, self.frequencies, strict=True)
@@ -122,15 +122,15 @@ class SceneGrid:
         return np.asarray(transfer * down * right)
 
     def spectrum(self, scene: AnyFloats) -> AnyComplexes:
-        """Half plane of a scene's DFT, (..., rows, columns), in its precision."""
+        """Return the half plane of a scene's DFT, (..., rows, columns), in its precision."""
         return np.asarray(scipy.fft.rfftn(scene, axes=(-1, -2)))
 
     def image(self, spectrum: AnyComplexes) -> AnyFloats:
-        """The scene of a half plane."""
+        """Return the scene of a half plane."""
         return np.asarray(scipy.fft.irfftn(spectrum, s=self.shape[::-1], axes=(-1, -2)))
 
     def sample(self, spectrum: AnyComplexes) -> Floats:
-        """The samples (rows, columns) of a plane, one to a cell of the frame, of a blurred scene's half plane."""
+        """Return the samples (rows, columns) of a plane, one for each cell of the frame, of a blurred scene's half plane."""
         return self.cells.sample(spectrum)
 
     def spread(self, plane: Floats, transfer: Complexes64) -> Complexes64:
@@ -147,7 +147,7 @@ class SceneGrid:
         return np.asarray(result)
 
     def finer(self, scene: Floats32, samples: int) -> Floats32:
-        """A scene (..., rows, columns) of this grid on one of more samples to a pixel, by its spectrum."""
+        """Return a scene (..., rows, columns) of this grid on one of more samples a pixel, by its spectrum."""
         rows, columns = (side // self.samples * samples for side in self.shape)
         spectrum = self.spectrum(scene)
         if self.shape[0] % 2 == 0:
@@ -169,7 +169,7 @@ class SceneGrid:
         return rows, columns
 
     def kernel(self, spectrum: AnyComplexes) -> Complexes:
-        """Half plane (cells rows, cells columns // 2 + 1) of what a half plane's samples at all cells make, their own DFT."""
+        """Return the DFT (cells rows, cells columns // 2 + 1) of the samples of a half plane at all cells."""
         folded = self.cells.folded_rows(self.cells.folded_columns(spectrum))
         kernel = 2.0 / self.cells.oversampling**2 * scipy.fft.ifft2(folded).real
         return np.asarray(scipy.fft.rfft2(kernel))

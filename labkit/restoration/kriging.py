@@ -54,7 +54,7 @@ class Stiffness:
         object.__setattr__(self, "_give", give.astype(np.float32))
 
     def inverse(self, spectra: AnyComplexes) -> AnyComplexes:
-        """K^-1 of half planes (components, half, columns)."""
+        """Return K^-1 of half planes (components, half, columns)."""
         if len(spectra) == 1:
             return self._give * spectra
         own = np.tensordot(self.turn.T.astype(np.float32), spectra, 1)
@@ -62,7 +62,7 @@ class Stiffness:
         return np.tensordot(self.turn.astype(np.float32), own, 1)
 
     def between(self, one: int, other: int) -> Floats:
-        """Half plane by which light in one colour moves the scene in another."""
+        """Return the half plane by which light in one colour moves the scene in another."""
         return np.asarray(np.tensordot(self.turn[one] * self.turn[other], self.give, 1))
 
 
@@ -77,7 +77,7 @@ class Kriging:
         self.weigh(weights)
 
     def weigh(self, weights: Sequence[Floats] | Floats) -> None:
-        """Take other weights."""
+        """Use other weights."""
         self.used = np.array(weights) > 0
         self.variance = 1 / np.where(self.used, weights, 1.0)
         self._invert()
@@ -109,7 +109,7 @@ class Kriging:
         return mean * float(self.used.sum()) / len(self.views)
 
     def stiffer(self, factor: float) -> Kriging:
-        """The same of a penalty so many times as stiff; its `scene` is still that of this one."""
+        """Return the equations of a penalty so many times as stiff; `scene` is still that of this one."""
         other = copy(self)
         other._between = self._between / factor
         other._invert()
@@ -121,7 +121,7 @@ class Kriging:
         start: Floats | None = None,
         tolerance: float = GRADIENT_TOLERANCE,
     ) -> Floats:
-        """(views, rows, columns) u of (W^-1 + H K^-1 H^T) u = data at used counts, 0 elsewhere; conjugate gradients."""
+        """Solve (W^-1 + H K^-1 H^T) u = data for u (views, rows, columns), 0 at unused counts, by conjugate gradients."""
         solution = np.zeros_like(data) if start is None else start.copy()
         wanted = np.where(self.used, data, 0.0)
         rest = wanted if start is None else wanted - self.apply(solution)
@@ -141,11 +141,11 @@ class Kriging:
         return solution
 
     def apply(self, planes: Floats) -> Floats:
-        """(W^-1 + H K^-1 H^T) of planes (views, rows, columns)."""
+        """Return (W^-1 + H K^-1 H^T) of planes (views, rows, columns)."""
         return np.where(self.used, self.variance * planes, 0.0) + self.data_part(planes)
 
     def data_part(self, planes: Floats) -> Floats:
-        """H K^-1 H^T of planes, at used counts."""
+        """Return H K^-1 H^T of planes, at used counts."""
         return np.where(
             self.used,
             self.views.light * self._convolved(self._between, self.views.light * planes),
@@ -153,11 +153,13 @@ class Kriging:
         )
 
     def scene(self, planes: Floats) -> AnyComplexes:
-        """Half planes of K^-1 H^T u."""
+        """Return half planes of K^-1 H^T u."""
         return self.stiffness.inverse(self.views.spread(planes))
 
     def _kernels(self) -> Complexes:
-        """(views, views, rows, columns // 2 + 1) DFT of how light in one plane moves the other, on the torus of cells."""
+        """Return the DFT (views, views, rows, columns // 2 + 1) of the effect of one plane's light on another, on the cells'
+        torus.
+        """
         count, (rows, columns) = len(self.views), self.grid.cells.pixels
         between = np.zeros((count, count, rows, columns // 2 + 1), complex)
         for i, one in enumerate(self.views):
@@ -169,11 +171,11 @@ class Kriging:
         return between
 
     def _nearly(self, planes: Floats) -> Floats:
-        """The inverse of what `apply` does, were all counts there and equally good."""
+        """Return the inverse of `apply` for the case that all counts are used and equally good."""
         return np.where(self.used, self._convolved(self._roughly, planes), 0.0)
 
     def _convolved(self, kernels: AnyComplexes, planes: Floats) -> AnyFloats:
-        """In the precision of the kernels."""
+        """Return planes convolved with kernels, in the precision of the kernels."""
         cells = np.zeros((len(planes), *self.grid.cells.pixels), kernels.real.dtype)
         cells[:, *self.grid.at_frame] = planes
         spectra = scipy.fft.rfft2(cells)

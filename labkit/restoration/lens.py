@@ -13,7 +13,7 @@ SAME_MM = 0.5  # ranges closer than this are that of the fit
 
 
 def nearest(results: Results, channel: str, range_mm: float | None) -> Wavefront:
-    """The wavefront of a channel that was measured nearest to a range. Raises DataError where the channel was not measured."""
+    """Return the wavefront of a channel measured nearest to a range. Raises DataError for a channel without one."""
     every = results.of_channel(channel)
     if not every:
         raise DataError(
@@ -29,7 +29,7 @@ def nearest(results: Results, channel: str, range_mm: float | None) -> Wavefront
 
 
 def waves_at(results: Results, wavefront: Wavefront, range_mm: float | None) -> Floats:
-    """(modes,) of a wavefront carried to a range: its defocus by the lens's law from where it was measured, the rest as it is.
+    """Return the modes (modes,) of a wavefront carried to a range: its defocus by the lens's law, the others unchanged.
 
     Raises DataError where the session tells no law.
     """

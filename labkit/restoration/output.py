@@ -65,7 +65,7 @@ def write(
 
 
 def picture(scene: Floats32) -> bytes:
-    """PNG of a scene, each colour up to its own brightest parts, in sRGB; what is not known is white."""
+    """Return the PNG of a scene, each colour up to its own brightest parts, in sRGB; unknown samples are white."""
     step = -(-max(scene.shape[1:]) // MOST_SHOWN_PX)
     shown = scene[:, ::step, ::step]
     if len(shown) not in (1, 3):

@@ -32,7 +32,7 @@ def registered(
     period: int,
     places: Sequence[tuple[int, int]] | None = None,
 ) -> Floats:
-    """(2, 3) motion of a photograph beside the first, as `Exposure.motion` has it: a shift, by correlation of grey cells.
+    """Return the motion (2, 3) of a photograph from the first one, see `Exposure`: a shift, by correlation of grey cells.
 
     places: of the cell's pixels that are looked at, all by default. It is right to some tenths of a pixel, since cells alias:
     `refined` goes on from there. G. Evangelidis and E. Psarakis, IEEE Trans. PAMI 30, 1858 (2008). Raises DataError where
@@ -64,7 +64,7 @@ def registered(
 
 
 def refined(job: Job) -> Job:
-    """The job with the motions under which the first photograph, restored, predicts the others best, and then all of them.
+    """Return the job with the motions under which the first photograph, restored, best predicts the others, then all of them.
 
     Gauss-Newton steps of six numbers a photograph; what of the scene is not known passes for noise. Raises DataError for one
     that is turned or grown against the first by more than tiles can follow.
@@ -92,7 +92,7 @@ def refined(job: Job) -> Job:
 
 
 def _scene(views: Views, job: Job) -> AnyComplexes:
-    """Half planes of the scene without the bound, under a penalty about as strong as a choice would make it."""
+    """Return half planes of the scene without the bound, under a penalty about as strong as a chosen one."""
     levels = views.levels()
     means = views.flat(levels)
     weights = views.weights(means)
@@ -115,7 +115,7 @@ def _scene(views: Views, job: Job) -> AnyComplexes:
 
 
 def _step(job: Job, photograph: Exposure, area: Area, scene: AnyComplexes) -> Floats:
-    """(2, 3) by which a photograph's motion is to be changed."""
+    """Return the change (2, 3) of a photograph's motion."""
     views = replace(job, photographs=(photograph,)).views(area)
     if views is None:
         return np.zeros((2, 3))
@@ -123,37 +123,25 @@ def _step(job: Job, photograph: Exposure, area: Area, scene: AnyComplexes) -> Fl
     centre = np.array(middle_of(area))
     normal = np.diag(np.tile([1.0, 1.0, 0.0], 2) / (half * USUAL_TURN) ** 2)
     right = -normal @ (half * photograph.motion).ravel()
+    turns = [(-2j * np.pi * w).astype(np.complex64) for w in grid.frequencies]
     for view, mean in zip(views, views.means(scene), strict=True):
+        spectrum = scene[view.component]
         slopes = [
-            view.light
-            * grid.sample(
-                (-2j * np.pi * w).astype(np.complex64)
-                * scene[view.component]
-                * view.transfer
-            )
-            for w in grid.frequencies
+            view.light * grid.sample(turn * spectrum * view.transfer) for turn in turns
         ]
         rows, columns = (
             (np.arange(n) * grid.period + p + part.start - c) / half
-            for n, p, part, c in zip(
-                view.counts.shape, view.place, area, centre, strict=True
-            )
+            for n, p, part, c in zip(mean.shape, view.place, area, centre, strict=True)
         )
-        places = [
-            rows[:, None] + 0 * columns,
-            columns[None, :] + 0 * rows[:, None],
-            np.ones(view.counts.shape),
-        ]
+        places = np.broadcast_arrays(rows[:, None], columns, np.ones(mean.shape))
         design = np.array([slope * place for slope in slopes for place in places])
-        apart, near = view.counts - mean, view.used
-        weight = np.where(
-            near, 1 / (view.expected(mean).variance + float(np.mean(apart[near] ** 2))), 0.0
-        )
+        apart = view.counts - mean
+        left = float(np.mean(apart[view.used] ** 2))
+        weight = np.where(view.used, 1 / (view.expected(mean).variance + left), 0.0)
         normal += np.einsum("irc,jrc,rc->ij", design, design, weight)
         right += np.einsum("irc,rc,rc->i", design, apart, weight)
-    change = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(6), right).reshape(
-        2, 3
-    )
+    normal += 1e-9 * np.trace(normal) * np.eye(6)
+    change = np.linalg.solve(normal, right).reshape(2, 3)
     change[:, :2] /= half
     change[:, 2] -= change[:, :2] @ centre
     return np.asarray(change)
@@ -170,17 +158,15 @@ def _middle(job: Job) -> Area:
 
 
 def _grey(photograph: Exposure, period: int, places: Sequence[tuple[int, int]]) -> Floats32:
-    """Means over cells, gaps filled from around, on a scale of 0 to 1."""
+    """Return means over cells, gaps filled from around, on a scale of 0 to 1."""
     rows, columns = (side // period for side in photograph.counts.shape)
-    total, share = np.zeros((rows, columns)), np.zeros((rows, columns))
+    cells, known = np.zeros((rows, columns)), np.zeros((rows, columns))
     for row, column in places:
         plane = slice(row, None, period), slice(column, None, period)
         light = photograph.counts[plane] / np.maximum(photograph.light[plane], 1e-3)
-        total = total + np.where(photograph.used[plane], light, 0.0)
-        share = share + photograph.used[plane] / len(places)
-    cells, known = total / len(places), share
-    around = ndimage.gaussian_filter(cells, 2.0) / np.maximum(
-        ndimage.gaussian_filter(known, 2.0), 1e-3
-    )
-    grey = np.where(known > 1 - 1e-9, cells, around)
+        cells += np.where(photograph.used[plane], light, 0.0)
+        known += photograph.used[plane] / len(places)
+    cells /= len(places)
+    near, share = (ndimage.gaussian_filter(each, 2.0) for each in (cells, known))
+    grey = np.where(known > 1 - 1e-9, cells, near / np.maximum(share, 1e-3))
     return np.asarray((grey - grey.min()) / max(np.ptp(grey), 1e-9), np.float32)

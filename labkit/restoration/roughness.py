@@ -61,7 +61,7 @@ class Roughness:
     def gradient(
         self, scene: AnyFloats, spectra: AnyComplexes
     ) -> tuple[AnyComplexes, AnyFloats]:
-        """Thesis (K.19), in two parts: half planes, and what is to be added to their scene."""
+        """Return the gradient, thesis (K.19), in two parts: half planes, and an addition to their scene."""
         norm = self.held or self.norm(scene, spectra)
         factor = np.float32(self.stiffness(norm))
         return self._weighed(spectra, factor), -factor * np.float32(
@@ -75,7 +75,7 @@ class Roughness:
         step: AnyFloats,
         step_spectra: AnyComplexes,
     ) -> tuple[AnyComplexes, AnyFloats]:
-        """The second derivatives times a step (components, rows, columns), in the two parts of `gradient`."""
+        """Return the second derivatives times a step (components, rows, columns), in the two parts of `gradient`."""
         norm = self.held or self.norm(scene, spectra)
         factor = self.stiffness(norm)
         rough = self._weighed(step_spectra)
@@ -121,7 +121,7 @@ class Roughness:
         return 1 / self.grid.samples**2
 
     def _apart(self, scene: AnyFloats, means: Floats) -> AnyFloats:
-        """Seen samples less their means, the others 0."""
+        """Return seen samples less their means, the others 0."""
         return np.asarray(
             np.where(
                 self.seen,
@@ -136,7 +136,7 @@ class Roughness:
         return np.tensordot(self.coupling.astype(of_components.dtype), of_components, 1)
 
     def _weighed(self, spectra: AnyComplexes, factor: np.float32 = ONE) -> AnyComplexes:
-        """M Q f, times a factor."""
+        """Return M Q f, times a factor."""
         coupled = (
             np.tensordot(self.coupling.astype(np.float32), spectra, 1)
             if len(spectra) > 1
@@ -146,6 +146,6 @@ class Roughness:
         return coupled * (factor * scale * self.grid.squared_frequency)
 
     def _rough(self, spectra: AnyComplexes) -> float:
-        """f^T M Q f."""
+        """Return f^T M Q f."""
         weighed: Floats32 = np.real(np.conj(spectra) * self._weighed(spectra))
         return self._area * float(np.sum(self.grid.share * weighed, dtype=np.float64))
