@@ -72,39 +72,35 @@ class Noise:
     periodic: float
 
 
-def alterations(mosaic: Photograph) -> Alterations:
-    """Return the changes made to a picture by a program; a mosaic counts as unaltered without a test."""
-    if mosaic.pattern not in (MONO, IN_COLOURS):
+def alterations(photograph: Photograph) -> Alterations:
+    """Return the traces of a program in a picture; none of a mosaic, which was never altered."""
+    if photograph.pattern not in (MONO, IN_COLOURS):
         return Alterations()
-    plane = mosaic.part("G")  # green is interpolated least
+    plane = photograph.part("G")  # green is interpolated least
     noise, overshoot = noise_of(plane), edge_overshoot(plane.counts)
     notes: list[str] = []
-    if noise is not None and max(noise.upper) < (
-        ENLARGED if noise.periodic > PERIODIC else EMPTY
-    ):
-        percent = (
-            f"{100 * max(noise.upper):.1f} % near Nyquist's frequency of what it is below"
-        )
-        if noise.periodic > PERIODIC:
+    periodic = noise is not None and noise.periodic > PERIODIC
+    if noise is not None and max(noise.upper) < (ENLARGED if periodic else EMPTY):
+        share = f"{100 * max(noise.upper):.1f} %"
+        percent = f"{share} near Nyquist's frequency of what it is below"
+        if periodic:
             return Alterations(
                 f"has been enlarged by a program: its noise is {percent}, and its strength repeats with the pixels that were "
                 "there before; give the picture as the camera made it"
             )
         # compression hides the period of what was enlarged before it, and empties a spectrum a little by itself
-        jpeg, other = (
-            "enlarged or smoothed by a program, or much compressed",
-            "smoothed by noise reduction or by a program",
-        )
+        how = "smoothed by noise reduction or by a program"
+        if photograph.compressed:
+            how = "enlarged or smoothed by a program, or much compressed"
         notes.append(
-            f"the photographs were {jpeg if mosaic.compressed else other}, noise is {percent}: that is part of the PSF; "
-            "give them as the camera made them"
+            f"the photographs were {how}, noise is {percent}: that is part of the PSF; give them as the camera made them"
         )
-    if overshoot > OVERSHOOT or (noise is not None and min(noise.upper) > AMPLIFIED):
-        how = (
-            f"edges overshoot by {100 * overshoot:.0f} %"
-            if overshoot > OVERSHOOT
-            else "noise grows with frequency"
-        )
+    how = ""
+    if overshoot > OVERSHOOT:
+        how = f"edges overshoot by {100 * overshoot:.0f} %"
+    elif noise is not None and min(noise.upper) > AMPLIFIED:
+        how = "noise grows with frequency"
+    if how:
         notes.append(
             f"the photographs were sharpened, {how}: that is part of the PSF, and no wavefront makes it; develop them again "
             "without sharpening"
@@ -112,9 +108,9 @@ def alterations(mosaic: Photograph) -> Alterations:
     return Alterations(None, tuple(notes))
 
 
-def noise_of(mosaic: Photograph) -> Noise | None:
+def noise_of(photograph: Photograph) -> Noise | None:
     """Return the noise of a picture of one colour; None if structure and rounding hide it."""
-    plane = mosaic.counts
+    plane = photograph.counts
     if min(plane.shape) < 2 * NOISE_TILE_PX:
         return None
     rows, cols = (size // NOISE_TILE_PX for size in plane.shape)
@@ -126,7 +122,7 @@ def noise_of(mosaic: Photograph) -> Noise | None:
         .swapaxes(1, 2)
     )
     chosen = tiles[places[:, 0], places[:, 1]].astype(np.float64)
-    power, rounding = _spectra(chosen), _rounding(mosaic, chosen.mean(axis=(1, 2)))
+    power, rounding = _spectra(chosen), _rounding(photograph, chosen.mean(axis=(1, 2)))
     middle = _band(power, MIDDLE_BAND, MIDDLE_BAND)
     seen = (middle > SEEN * rounding) & (
         _band(power, SLOW_BAND, SLOW_BAND) < SMOOTH_RATIO * middle
@@ -143,7 +139,7 @@ def noise_of(mosaic: Photograph) -> Noise | None:
     )
     return Noise(
         (max(0.0, along_rows), max(0.0, along_cols)),
-        _periodic(plane, places[seen], mosaic.compressed),
+        _periodic(plane, places[seen], photograph.compressed),
     )
 
 
@@ -158,13 +154,11 @@ def edge_overshoot(plane: ArrayLike) -> float:
     return max(_overshoot_along_rows(picture), _overshoot_along_rows(picture.T))
 
 
-def _rounding(mosaic: Photograph, level: Floats) -> Floats:
+def _rounding(photograph: Photograph, level: Floats) -> Floats:
     """Return the variance (tiles,) of rounding at those levels."""
-    return (
-        np.full(level.shape, 1 / 12)
-        if mosaic.tone is None
-        else mosaic.tone.rounding_variance(level)
-    )
+    if photograph.tone is None:
+        return np.full(level.shape, 1 / 12)
+    return photograph.tone.rounding_variance(level)
 
 
 def _spectra(tiles: Floats) -> Floats:

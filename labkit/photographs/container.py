@@ -1,11 +1,11 @@
-"""File formats below the mosaic: recognised by their content, checked for being whole."""
+"""Formats of files, recognised by their content and checked for being whole."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import tifffile
 
@@ -26,24 +26,20 @@ RAW_SUFFIXES = re.compile(
     r"\.(3fr|ar[iw]|cr[23w]|dcr|dng|erf|fff|iiq|kdc|mos|mrw|n[er][fw]|orf|pef|ra[fw]|rw2|sr[2fw]|x3f)",
     re.IGNORECASE,
 )
-"""What cameras' raw files are called."""
+"""Endings of cameras' raw files."""
 
-MIN_IS_WHITE, MIN_IS_BLACK, RGB = 0, 1, 2
-MAKE, MODEL, EXPOSURE_S, ISO_TAG, DNG_VERSION, DNG_MODEL = (
-    271,
-    272,
-    33434,
-    34855,
-    50706,
-    50708,
-)
+PLAIN_PHOTOMETRICS = (0, 1, 2)  # white or black is zero, RGB
+MAKE, DNG_VERSION = 271, 50706
+"""Tags of a TIFF."""
+
+Kind = Literal["raw", "tiff", "png", "pgm", "jpeg", "headerless"]
 
 
 @dataclass(frozen=True, slots=True)
 class Container:
     """The type of a file, and camera and exposure by its tags."""
 
-    kind: Literal["raw", "tiff", "png", "pgm", "jpeg", "headerless"]
+    kind: Kind
     camera: str = ""
     exposure_s: float | None = None
     iso: int | None = None
@@ -78,8 +74,7 @@ def _recognise(path: Path) -> Container:
             raise RawError(
                 f"is a JPEG, though its name ends in {path.suffix}: give the camera's raw file, or name it .jpg"
             )
-        exif = read_exif(path)
-        return Container("jpeg", exif.camera, exif.exposure_s, exif.iso)
+        return _described("jpeg", path)
     if not head:
         raise RawError("is empty")
     # LibRaw would go by the file's size alone here, and once took a 14 bit crop for a photograph of another shape
@@ -93,39 +88,21 @@ def _recognise_tiff(path: Path) -> Container:
     try:
         with tifffile.TiffFile(path) as tiff:
             first = tiff.pages.first
-            tags = {
-                code: tag.value
-                for code in (MAKE, MODEL, EXPOSURE_S, ISO_TAG, DNG_MODEL)
-                if (tag := first.tags.get(code))
-            }
             check_strips(tiff, path.stat().st_size)
-            plain = DNG_VERSION not in first.tags and first.photometric in (
-                MIN_IS_WHITE,
-                MIN_IS_BLACK,
-                RGB,
+            plain = (
+                DNG_VERSION not in first.tags and first.photometric in PLAIN_PHOTOMETRICS
             )
+            made = MAKE in first.tags
     except InputError as error:
         raise RawError(str(error)) from error
-    except (
-        Exception
-    ) as error:  # tifffile lets through whatever a damaged tag happens to break
+    # tifffile lets through whatever a damaged tag happens to break
+    except Exception as error:
         raise RawError(f"is truncated or damaged ({shown(str(error))})") from error
     named = path.suffix.lower() in (".tif", ".tiff")
-    return Container(
-        "tiff" if plain and (named or MAKE not in tags) else "raw",
-        camera=_camera(tags),
-        exposure_s=_seconds(tags.get(EXPOSURE_S)),
-        iso=int(tags[ISO_TAG]) if isinstance(tags.get(ISO_TAG), int) else None,
-    )
+    return _described("tiff" if plain and (named or not made) else "raw", path)
 
 
-def _camera(tags: dict[int, Any]) -> str:
-    words = [str(tags[code]).strip(" \0") for code in (MAKE, MODEL) if code in tags]
-    return " ".join(words) or str(tags.get(DNG_MODEL, "")).strip(" \0")
-
-
-def _seconds(value: object) -> float | None:
-    match value:
-        case (int(over), int(under)) if under:
-            return over / under
-    return None
+def _described(kind: Kind, path: Path) -> Container:
+    """Return a container with camera and exposure as the file states them."""
+    exif = read_exif(path)
+    return Container(kind, exif.camera, exif.exposure_s, exif.iso)

@@ -281,7 +281,7 @@ def test_a_missing_and_a_truncated_photograph_are_both_named(folder: Folder) -> 
         (
             {"model": "D2"},
             SIZE,
-            "another camera than the first photograph: Acme D2, not Acme Acme D1",
+            "another camera than the first photograph: Acme D2, not Acme D1",
         ),
         ({}, (124, 158), "another size than the first photograph: 124×158, not 126×158"),
         (

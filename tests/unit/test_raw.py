@@ -98,7 +98,7 @@ def test_camera_and_exposure_come_from_the_tags(
     mosaic = read_photograph(
         write_dng(tmp_path / "a.dng", counts, model="Acme D2", exposure=(1, 125)), SILENT
     )
-    assert (mosaic.camera, mosaic.iso) == ("Acme Acme D2", 200)
+    assert (mosaic.camera, mosaic.iso) == ("Acme D2", 200)
     assert mosaic.exposure_s == pytest.approx(0.008, rel=1e-6)
 
 
