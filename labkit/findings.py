@@ -240,6 +240,7 @@ TEXTS = {
     ),
     # the camera
     "camera-part-found": "the photographs show {part_words}, which the plan does not state: {values_words}",
+    "light-contradicted": "the light that the plan names has another width than the photographs show: {list}",
     "higher-modes-found": (
         "the photographs show Zernike modes {first_noll} to {last_noll}, {waves_words} waves RMS together, which were "
         "fitted besides the usual modes"

@@ -150,6 +150,13 @@ def full_results() -> Results:
                 residual_spectrum=left,
                 rim=CUT,
             ),
+            a_wavefront(channel="B", defocus=0.09, test=test, spectrum=BROAD, rim=CUT),
+        ),
+        plan=PLAN.replace(
+            channel=[
+                {"name": "R", "wavelength_nm": 650.0},
+                {"name": "B", "wavelength_nm": 450.0, "light": "led-panel"},
+            ]
         ),
         joint={"focal_length_mm": 0.1},
         model_parts={

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from docs.generators.api import device_api, public_api, related_api
 from docs.generators.commands import commands
 from docs.generators.gallery import gallery
-from docs.generators.plan_keys import panels, plan_keys
+from docs.generators.plan_keys import lights, panels, plan_keys
 from docs.generators.results_keys import results_keys
 from docs.generators.target_kinds import target_kinds
 
@@ -19,6 +19,7 @@ MADE: dict[str, Callable[[], str]] = {
     "commands": commands,
     "device_api": device_api,
     "gallery": gallery,
+    "lights": lights,
     "panels": panels,
     "plan_keys": plan_keys,
     "public_api": public_api,

@@ -15,6 +15,8 @@ from labkit.panel.panels import PANELS
 from labkit.plan import Plan
 from labkit.plan.fields import what_it_takes
 from labkit.plan.tables import NEEDED_BY_KIND
+from labkit.spectra import LIGHT_KINDS, TYPICAL, channel_light
+from labkit.spectra.tables import COLOURS
 
 UNITS = {"mm": "mm", "um": "µm", "nm": "nm", "px": "pixels", "s": "s", "deg": "degrees"}
 """What the last part of a key stands for."""
@@ -47,6 +49,19 @@ def panels() -> str:
                 f"{high_mm:.1f} × {wide_mm:.1f}",
             ]
         )
+    return table(rows)
+
+
+def lights() -> str:
+    """The kinds of light that a plan can name: mean and standard deviation of the wavelengths through typical filters."""
+    rows = [["`channel.light`", "spectra", *(f"{colour} / nm" for colour in COLOURS)]]
+    for kind, spectra in LIGHT_KINDS.items():
+        through = [channel_light(kind, TYPICAL, colour) for colour in COLOURS]
+        moments = [
+            f"{light.mean.value:.0f} ± {light.mean.std:.0f}, {light.width.value:.0f} ± {light.width.std:.0f} broad"
+            for light in through
+        ]
+        rows.append([code(kind), ", ".join(spectra), *moments])
     return table(rows)
 
 
@@ -119,7 +134,7 @@ def _default(dotted: str, field: FieldInfo) -> str:
     ]
     if kinds:
         return f"none, {', '.join(kinds)} {'needs' if len(kinds) == 1 else 'need'} it"
-    if field.default is None:
+    if field.default is None or field.default_factory is not None:
         return _stated_default(field.description or "")
     value = list(field.default) if isinstance(field.default, tuple) else field.default
     return code(json.dumps(value))

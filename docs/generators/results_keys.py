@@ -42,6 +42,8 @@ NAMED = {
     "budget.",
     "joint.",
     "model_parts.",
+    "light.",
     "widest_light_nm.",
+    "focus_waves_per_nm.",
 }
 """Tables whose keys depend on the session."""

@@ -62,6 +62,7 @@ from labkit.panel.target_pixels import as_shown, pixels_per_cell
 from labkit.plan import Plan
 from labkit.results import Results, Wavefront
 from labkit.results.storage import kept_keys
+from labkit.session.body_filters import with_body_filters
 from labkit.session.fit_lock import fitted_alone
 from labkit.session.session import Session
 from labkit.session.shown_size import with_shown_size
@@ -327,7 +328,8 @@ def _opened(
     if damage := altered_files(session):
         raise SessionError(as_error(damage))
     chosen = chosen if noll is None else chosen.replace(fit={"zernike_noll": noll})
-    return session, with_shown_size(session, chosen), _checksum(session, chosen)
+    used = with_body_filters(session, with_shown_size(session, chosen))
+    return session, used, _checksum(session, chosen)
 
 
 def _checksum(session: Session, plan: Plan) -> str:

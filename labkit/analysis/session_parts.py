@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
@@ -20,7 +21,8 @@ from labkit.findings import (
     found,
     stated_model_moves,
 )
-from labkit.imaging.parts import ESTIMATED, OPTIONAL_PARTS
+from labkit.imaging.estimated import Estimated
+from labkit.imaging.parts import ESTIMATED, OPTIONAL_PARTS, SpectrumWidth
 from labkit.imaging.parts.aperture import Aperture
 from labkit.optics.metrics import psf_difference, rms
 from labkit.optics.wavefront import FittedWavefront
@@ -42,13 +44,23 @@ def model_parts(session: Estimate, plan: Plan) -> dict[str, Uncertain]:
     quantities = dict[str, Uncertain]()
     for name, *channel in sorted(groups, key=lambda of: names.index(of[0])):
         of = channels[channel[0]] if channel else None
-        quantities |= ESTIMATED[name].quantities(groups[name, *channel], of)
+        part = _group(session, name, channel)
+        quantities |= part.quantities(groups[name, *channel], of)
     return quantities
 
 
 def in_words(parts: Collection[str]) -> dict[str, str]:
     """Return camera parts in words, by name."""
     return {name: OPTIONAL_PARTS[name].words for name in parts}
+
+
+def _group(session: Estimate, name: str, channel: Sequence[str]) -> Estimated:
+    """Return a group of numbers as the fits have it, of a channel if it is one channel's."""
+    for fit in session.fits:
+        for group in fit.optics.estimated:
+            if group.name == name and (not channel or fit.channel == channel[0]):
+                return group
+    return ESTIMATED[name]
 
 
 def camera_findings(
@@ -112,10 +124,37 @@ def part_findings(
                 lit_across=across.as_json(),
                 lit_down=down.as_json(),
             )
+        elif name == SpectrumWidth.name and (named := _named_widths(session)):
+            yield _light_contradicted(values, named)
         elif name not in wanted:
             yield camera_part_found(
                 name, OPTIONAL_PARTS[name].words, values, gains.get(name), moves
             )
+
+
+def _light_contradicted(
+    values: Mapping[str, Uncertain], named_nm: Mapping[str, float]
+) -> Finding:
+    """Report widths of the light, nm by channel, other than those of the light that the plan names."""
+    words = [f"{c} {values[c]} in place of {nm:.0f} nm" for c, nm in named_nm.items()]
+    return found(
+        "light-contradicted",
+        None,
+        {"list": ", ".join(words)},
+        found_nm={c: values[c].as_json() for c in named_nm},
+        named_nm=dict(named_nm),
+    )
+
+
+def _named_widths(session: Estimate) -> dict[str, float]:
+    """Return the standard deviation of the light that the plan names, nm, by channel."""
+    return {
+        fit.channel: 1e3
+        * fit.optics.wavelength_um
+        * math.sqrt(fit.optics.spectrum.variance)
+        for fit in session.fits
+        if fit.optics.typical and fit.optics.spectrum is not None
+    }
 
 
 def higher_modes(wavefronts: Sequence[Wavefront], plan: Plan) -> Iterator[Finding]:

@@ -20,6 +20,8 @@ from labkit.plan.messages import message, plain_number
 from labkit.plan.tables import BY_HAND, NEEDED_BY_KIND
 from labkit.plan.text import write_tables
 from labkit.session.draft_plan import FILL_IN, Row, draft_tables
+from labkit.spectra import LIGHT_KINDS
+from labkit.spectra.tables import COLOURS
 from labkit.target import open_target
 
 Ask = Callable[[str, Callable[[str], Any], str], Any]
@@ -56,6 +58,12 @@ WORDS = {
     "display.panel": "Panel: {panels}",
 }
 """The questions, by key; what has none is written as the draft has it."""
+
+CHANNEL = "[[channel]]"
+UNKNOWN_LIGHT = "unknown"
+LIGHT = (
+    f"Light on the target, or of the panel: {', '.join(LIGHT_KINDS)}, or {UNKNOWN_LIGHT}"
+)
 
 EXAMPLES: Mapping[str, tuple[str, str]] = {
     "order": ("5", "of the carpet"),
@@ -108,7 +116,12 @@ def plan_by_questions(
     heading, tables = draft_tables(image, mono)
     answers = _Answers(ask, folder)
     answers.blocks.append([*(heading or ["# Made by labkit plan --interactive."])])
+    of_colours = len([name for name, _ in tables if name == CHANNEL]) == len(COLOURS)
+    light = None
     for name, rows in tables:
+        if name == CHANNEL and of_colours:
+            light = light or ask(f"{LIGHT} (channel.light)", _kind_of_light, UNKNOWN_LIGHT)
+            rows = _of_light(light, rows)
         answers.table(name, _of_kind(answers, rows) if name == "[target]" else iter(rows))
     if ask(
         "Will labkit take the photographs itself (camera, rail, display)? yes or no",
@@ -281,6 +294,22 @@ def _notes(plan: Plan) -> Iterator[str]:
 
 def _kinds() -> list[str]:
     return sorted(entry_points(group="labkit.targets").names)
+
+
+def _of_light(light: str, rows: list[Row]) -> list[Row]:
+    """A channel's rows, with the light in place of its wavelength where it is known."""
+    if light == UNKNOWN_LIGHT:
+        return rows
+    named = ("light", f'"{light}"', "times the filters of the body, by labkit's tables")
+    return [row for row in rows if not row[0].startswith("wavelength")] + [named]
+
+
+def _kind_of_light(text: str) -> str:
+    if text not in (*LIGHT_KINDS, UNKNOWN_LIGHT):
+        raise PlanError(
+            f"channel.light = {shown(text)}: allowed is one of {', '.join(LIGHT_KINDS)}, or {UNKNOWN_LIGHT}"
+        )
+    return text
 
 
 def _yes_or_no(text: str) -> bool:

@@ -115,13 +115,14 @@ def score_tests(
     information[others, others] += without.camera_stds[:-1] ** -2
     rest = inverse(information[np.ix_(kept, kept)])
     result = {}
+    parts = {part.name: part for part in wider.optics.parts}
     for name, at in added.items():
         pulled = information[np.ix_(at, kept)] @ rest
         slope = gradient[at] - pulled @ gradient[kept]
         result[name] = ScoreTest(
             slope,
             information[np.ix_(at, at)] - pulled @ information[np.ix_(kept, at)],
-            one_sided=name in KNOWN and KNOWN[name].one_sided,
+            one_sided=name in parts and parts[name].one_sided,
         )
     return result
 

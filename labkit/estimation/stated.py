@@ -12,7 +12,7 @@ from labkit.imaging.parts import KNOWN
 from labkit.imaging.parts.aperture import Aperture
 from labkit.optics.lens import USUAL_LOG_MAGNIFICATION, Convention, ThinLens
 from labkit.optics.spectrum import Spectrum
-from labkit.plan import Plan
+from labkit.plan import Channel, Plan
 from labkit.uncertain import Uncertain
 
 
@@ -75,13 +75,22 @@ def optics_of(plan: Plan, channel: str) -> Optics:
         pitch_um=plan.sensor.pixel_pitch_um,
         active_um=plan.sensor.active_um,
         noll=plan.fit.noll,
-        spectrum=None
-        if light.spectrum is None
-        else Spectrum.of_samples(*light.samples, light.wavelength_nm),
+        spectrum=_spectrum(plan, light),
+        typical=light.light is not None,
         parts=tuple(part for part, fitted in stated if fitted),
         given=tuple(part for part, fitted in stated if not fitted),
         panel=Aperture.wanted(plan),
     )
+
+
+def _spectrum(plan: Plan, channel: Channel) -> Spectrum | None:
+    """Return the spectrum of a channel's light, as stated in samples or by the light's name; else None."""
+    named = plan.named_light(channel.name)
+    if named is not None:
+        return Spectrum.of_samples(named.nm, named.weights, channel.wavelength_nm)
+    if channel.spectrum is None:
+        return None
+    return Spectrum.of_samples(*channel.samples, channel.wavelength_nm)
 
 
 def wanted_parts(plan: Plan) -> list[str]:

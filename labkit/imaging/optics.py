@@ -33,6 +33,8 @@ class Optics:
     active_um : width of a pixel's active square
     noll : modes of the wavefront
     spectrum : of the light, relative to its wavelength; None if unknown
+    typical : whether the spectrum is typical of a kind of light; photographs may contradict
+        its width
     parts : parts of the camera, to be estimated
     given : parts of the camera with known numbers
     panel : the lit part of a panel's pixels, to be estimated; None for other targets, and
@@ -53,6 +55,7 @@ class Optics:
     active_um: float
     noll: tuple[int, ...] = tuple(range(4, 16))
     spectrum: Spectrum | None = None
+    typical: bool = False
     parts: tuple[Part, ...] = ()
     given: tuple[Part, ...] = ()
     panel: Aperture | None = None
@@ -141,7 +144,7 @@ class Optics:
         every = (*self.parts, *self.given)
         have = {part.name for part in every}
         kinds = {part.kind for part in every if part.kind}
-        if self.spectrum is not None:
+        if self.spectrum is not None and not self.typical:
             have.add(SpectrumWidth.name)
         return [
             name
@@ -151,7 +154,8 @@ class Optics:
 
     def with_parts(self, names: Collection[str]) -> Optics:
         """Return the optics with further known parts, which do nothing yet, and with further groups of modes."""
-        parts = (part for name, part in KNOWN.items() if name in names)
+        typical = self.spectrum if self.typical and self.spectrum else Spectrum()
+        parts = (part.about(typical) for name, part in KNOWN.items() if name in names)
         modes = (group.noll for name, group in MODE_GROUPS.items() if name in names)
         return replace(
             self,

@@ -76,6 +76,26 @@ class Spectrum:
         return cls((1 - offset, 1.0, 1 + offset), (side, 1 - 2 * side, side))
 
     @property
+    def mean(self) -> float:
+        """Mean wavelength, relative."""
+        return sum(share * node for share, node in self.shares)
+
+    @property
+    def variance(self) -> float:
+        """Of the wavelengths, relative to the squared nominal one."""
+        mean = self.mean
+        return sum(share * (node - mean) ** 2 for share, node in self.shares)
+
+    def with_variance(self, variance: float) -> Spectrum:
+        """Return a spectrum of the same form and mean and of another variance; light of one wavelength has no form, and becomes
+        symmetric."""
+        if not self.variance:
+            return Spectrum.of_width(variance)
+        mean, factor = self.mean, float(np.sqrt(max(variance, 0.0) / self.variance))
+        nodes = tuple(mean + factor * (node - mean) for node in self.nodes)
+        return Spectrum(nodes, self.weights)
+
+    @property
     def shares(self) -> list[tuple[float, float]]:
         """(weight, node) of each."""
         return list(zip(self.weights, self.nodes, strict=True))
@@ -107,3 +127,6 @@ def _gauss(at: Floats, shares: Floats, count: int) -> tuple[Floats, Floats]:
             here = after / beside[k]
     nodes, vectors = scipy.linalg.eigh_tridiagonal(diagonal, beside[: count - 1])
     return np.asarray(nodes, float), np.asarray(vectors[0] ** 2, float)
+
+
+ONE_WAVELENGTH = Spectrum()

@@ -121,11 +121,12 @@ class FittedWavefront:
         ]
 
     def in_light(self, std_nm: float) -> FittedWavefront:
-        """Return the wavefront in light of a standard deviation about its wavelength.
+        """Return the wavefront in light of another standard deviation of its wavelengths.
 
-        The deviation is limited to `labkit.optics.spectrum.WIDEST_SPECTRUM` of the wavelength.
+        A spectrum keeps its form. Light of one wavelength becomes symmetric about it, and
+        is at most `labkit.optics.spectrum.WIDEST_SPECTRUM` of the wavelength broad.
         """
-        spectrum = Spectrum.of_width((std_nm / self.wavelength_nm) ** 2)
+        spectrum = self.spectrum.with_variance((std_nm / self.wavelength_nm) ** 2)
         return replace(self, spectrum=spectrum, widest_nm=0.0)
 
     @property

@@ -1,12 +1,12 @@
 """The plan of a session: a TOML file, checked before anything happens."""
 
+from labkit.plan.channel import Channel
 from labkit.plan.plan import Plan, leading_channel
 from labkit.plan.sensor import MeasuredTone, Sensor
 from labkit.plan.table import Table
 from labkit.plan.tables import (
     About,
     CameraSettings,
-    Channel,
     DisplaySettings,
     FitSettings,
     Lens,

@@ -70,6 +70,26 @@ def or_fit(low: float, high: float) -> BeforeValidator:
     return BeforeValidator(checked)
 
 
+@dataclass(frozen=True, slots=True)
+class Names:
+    """Some names, as a pydantic validator and as words for messages."""
+
+    names: tuple[str, ...]
+
+    def __call__(self, value: str) -> str:
+        if value not in self.names:
+            raise not_allowed(str(self))
+        return value
+
+    def __str__(self) -> str:
+        return f"one of {', '.join(self.names)}"
+
+
+def one_of(names: Iterable[str]) -> AfterValidator:
+    """A validator of one of some names."""
+    return AfterValidator(Names(tuple(names)))
+
+
 def matches(pattern: str, words: str) -> AfterValidator:
     """Return a validator of printable text that matches a regular expression; `words` state what is allowed."""
     return AfterValidator(Matching(pattern, words))
@@ -86,7 +106,7 @@ def what_it_takes(field: FieldInfo) -> str:
         item.func if isinstance(item, AfterValidator) else item
         for item in (*field.metadata, *optional)
     ]
-    for kind in (Takes, Allowed, Matching):
+    for kind in (Takes, Allowed, Matching, Names):
         for item in found:
             if isinstance(item, kind):
                 return str(item)

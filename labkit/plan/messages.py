@@ -15,6 +15,9 @@ from labkit.plan.fields import what_it_takes
 
 Step = int | str
 
+FOLLOWS = "default_factory_not_called"
+"""Of a key left out whose default depends on a key that is wrong."""
+
 MOST_PROBLEMS = 20
 """That one line names."""
 
@@ -34,7 +37,8 @@ def message(
     details = [
         detail
         for detail in details
-        if detail["type"] != "too_short" or detail["loc"] not in within
+        if (detail["type"] != "too_short" or detail["loc"] not in within)
+        and detail["type"] != FOLLOWS
     ]
     named = details[:MOST_PROBLEMS]
     problems = dict.fromkeys(_problem(detail, model, tables) for detail in named)

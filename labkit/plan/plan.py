@@ -9,13 +9,13 @@ from typing import Annotated, Any
 from pydantic import Field, model_validator
 
 from labkit.errors import PlanError
+from labkit.plan.channel import Channel
 from labkit.plan.fields import Takes, problem, repeated
 from labkit.plan.sensor import Sensor
 from labkit.plan.table import Table
 from labkit.plan.tables import (
     About,
     CameraSettings,
-    Channel,
     DisplaySettings,
     FitSettings,
     Lens,
@@ -23,6 +23,7 @@ from labkit.plan.tables import (
     TargetSpec,
 )
 from labkit.plan.text import plain, read_tables, read_text, write_tables
+from labkit.spectra import ChannelLight
 
 DEFAULT_REFERENCE_NM = 450.0
 
@@ -127,6 +128,11 @@ class Plan(Table):
             if len(self.channel) == 1
             else DEFAULT_REFERENCE_NM
         )
+
+    def named_light(self, channel: str) -> ChannelLight | None:
+        """The light of a channel by its name and by the sensor's filters; None where the plan names none."""
+        of = next((one for one in self.channel if one.name == channel), None)
+        return None if of is None else of.named_light(self.sensor.filters)
 
     @model_validator(mode="after")
     def _consistent(self) -> Plan:

@@ -22,6 +22,7 @@ from labkit.plan.fields import (
     problem,
 )
 from labkit.plan.table import Table
+from labkit.spectra import TYPICAL, body_of, tables
 
 if TYPE_CHECKING:
     from labkit.types import Bools
@@ -191,6 +192,17 @@ def _tone(given: Any) -> Any:
         raise not_allowed(TONE) from None
 
 
+FILTERS = f"{TYPICAL}, or one of {', '.join(tables().filters)}"
+
+
+def _filters(given: str) -> str:
+    """Return the name in the table of a camera, in the form that files write or in the table's."""
+    body = TYPICAL if given == TYPICAL else body_of(given)
+    if body is None:
+        raise not_allowed(FILTERS)
+    return body
+
+
 class Sensor(Table):
     """The sensor's sampling, and properties that image files do not state. Raw files state their colour filter
     pattern and their levels: omit these keys.
@@ -209,6 +221,10 @@ class Sensor(Table):
     """Count at saturation; above the black level. Default: as the files state."""
     headerless_px: Annotated[tuple[Pixels, Pixels] | None, Takes(HEADERLESS)] = None
     """Size of files of bare 16-bit numbers, lower byte first. Default: the files have headers."""
+    filters: Annotated[str, AfterValidator(_filters), Takes(FILTERS)] | None = None
+    """Body in labkit's table of colour filters, for channels that name their light; `"typical"` for the mean of
+    all bodies. Default: the body that the photographs name, or else `"typical"`.
+    """
     low_pass_filter: LowPassFilter | None = None
     diffusion_px: Annotated[
         float | Literal["fit"] | None, or_fit(0, 2), Takes('0 to 2, or "fit"')

@@ -23,7 +23,6 @@ from labkit.plan.fields import (
     Count,
     Length,
     Line,
-    Name,
     Note,
     Number,
     Short,
@@ -34,6 +33,7 @@ from labkit.plan.fields import (
     problem,
     repeated,
 )
+from labkit.plan.standard_errors import Error, refuse_larger, stated
 from labkit.plan.table import Table
 from labkit.uncertain import Uncertain
 
@@ -52,30 +52,15 @@ NEEDED_BY_KIND = {
 }
 """Kind of target -> the fields that it cannot do without."""
 
-ENGRAVED_FOCAL_LENGTH, ENGRAVED_F_NUMBER, PRINTED_SIZE, FILTER_WAVELENGTH = (
-    0.02,
-    0.03,
-    1e-4,
-    0.005,
-)
-"""Relative standard errors of engravings, of a target's size, and of a colour's wavelength, that a plan does not state."""
-
-WITHIN_CHANNEL = 0.05
-"""Of a channel's wavelength: as far the mean of its spectrum may lie from it."""
-
-WIDEST_LIGHT = 0.08
-"""Of a channel's wavelength: the largest width that stands for a spectrum; a wider one has to be given in samples."""
+ENGRAVED_FOCAL_LENGTH, ENGRAVED_F_NUMBER, PRINTED_SIZE = 0.02, 0.03, 1e-4
+"""Relative standard errors of engravings and of a target's size that a plan does not state."""
 
 LEAST_APERTURE = 0.05
 APERTURE_WORDS = f"[across, down], each {LEAST_APERTURE:g} to 1"
-SPECTRUM = "[[nm, weight], ...] with weights from 0, some above"
 NOLL_WORDS = f"[first, last] with 4 <= first <= last <= {LAST_NOLL}"
 CORNERS_WORDS = (
     "four finite corners [row, col] of a convex quadrilateral, in order around it"
 )
-
-
-Error = Annotated[Number, AfterValidator(Allowed(0, 1e6))]
 
 
 class Lens(Table):
@@ -114,86 +99,19 @@ class Lens(Table):
     @property
     def stated_focal_length(self) -> Uncertain:
         """Engraved focal length, with its error."""
-        return _stated(
+        return stated(
             self.focal_length_mm, self.focal_length_std_mm, ENGRAVED_FOCAL_LENGTH, "mm"
         )
 
     @property
     def stated_f_number(self) -> Uncertain:
         """Engraved f-number, with its error."""
-        return _stated(self.f_number, self.f_number_std, ENGRAVED_F_NUMBER)
+        return stated(self.f_number, self.f_number_std, ENGRAVED_F_NUMBER)
 
     @model_validator(mode="after")
     def _possible(self) -> Lens:
-        _refuse_larger(self, "focal_length_mm", "focal_length_std_mm")
-        _refuse_larger(self, "f_number", "f_number_std")
-        return self
-
-
-class Channel(Table):
-    """A colour of the filter array, and the wavelength that represents this colour. One table, in double
-    brackets, for each colour.
-    """
-
-    name: Name
-    """Colour of the filter array: `"R"`, `"G"` or `"B"`, or a letter of `sensor.cfa_pattern`; `"G"` is both
-    green planes together. The single channel of a mono sensor may have any name.
-    """
-    wavelength_nm: Annotated[Number, AfterValidator(Allowed(100, 20_000))]
-    """Mean wavelength of the light times the filter."""
-    wavelength_std_nm: Error | None = None
-    """Standard error of the wavelength. Default: 0.5 %."""
-    spectrum: Annotated[tuple[tuple[Number, Number], ...] | None, Takes(SPECTRUM)] = None
-    """Spectrum of the light times the filter, if known; its mean lies within 5 % of the wavelength. Default: a
-    single wavelength; `labkit fit` tests for a width.
-    """
-
-    width_nm: Annotated[
-        float | Literal["fit"] | None, or_fit(0, 1000), Takes('0 to 1000, or "fit"')
-    ] = None
-    """Standard deviation of the light's wavelengths, in place of a spectrum: 0.42 of a Gaussian's width at half
-    maximum; `"fit"` estimates it.
-    """
-
-    @property
-    def samples(self) -> tuple[list[float], list[float]]:
-        """Wavelengths, nm, and weights of the spectrum. Raises ValueError where there is none."""
-        if self.spectrum is None:
-            raise ValueError(f"channel {self.name} has no spectrum")
-        return [nm for nm, _ in self.spectrum], [weight for _, weight in self.spectrum]
-
-    @property
-    def stated_wavelength(self) -> Uncertain:
-        """Wavelength, with its error."""
-        return _stated(self.wavelength_nm, self.wavelength_std_nm, FILTER_WAVELENGTH, "nm")
-
-    @model_validator(mode="after")
-    def _possible(self) -> Channel:
-        _refuse_larger(self, "wavelength_nm", "wavelength_std_nm")
-        widest_nm = WIDEST_LIGHT * self.wavelength_nm
-        if self.width_nm is not None and self.spectrum is not None:
-            raise problem("width_nm stands beside spectrum: allowed is one of them")
-        if (
-            self.width_nm is not None
-            and self.width_nm != "fit"
-            and self.width_nm > widest_nm
-        ):
-            raise problem(
-                f"width_nm = {self.width_nm:g}: allowed is up to {WIDEST_LIGHT:.0%} of the wavelength, {widest_nm:.3g} nm; "
-                "give a wider spectrum in samples"
-            )
-        if self.spectrum is not None:
-            nm, weights = self.samples
-            if not weights or min(weights) < 0 or not sum(weights) > 0:
-                raise problem(
-                    f"spectrum has no weight or one below 0: allowed is {SPECTRUM}"
-                )
-            mean = sum(n * w for n, w in zip(nm, weights, strict=True)) / sum(weights)
-            if abs(mean / self.wavelength_nm - 1) > WITHIN_CHANNEL or min(nm) < 100:
-                raise problem(
-                    f"spectrum lies outside the channel: its mean is {mean:.4g} nm, wavelength_nm is {self.wavelength_nm:g}; "
-                    f"allowed is a mean within {WITHIN_CHANNEL:.0%}"
-                )
+        refuse_larger(self, "focal_length_mm", "focal_length_std_mm")
+        refuse_larger(self, "f_number", "f_number_std")
         return self
 
 
@@ -260,7 +178,7 @@ class TargetSpec(Table):
     @property
     def stated_size(self) -> Uncertain:
         """Size of the target, with its error."""
-        return _stated(self.size_mm, self.size_std_mm, PRINTED_SIZE, "mm")
+        return stated(self.size_mm, self.size_std_mm, PRINTED_SIZE, "mm")
 
     @field_validator("file")
     @classmethod
@@ -279,7 +197,7 @@ class TargetSpec(Table):
 
     @model_validator(mode="after")
     def _complete(self, info: ValidationInfo) -> TargetSpec:
-        _refuse_larger(self, "size_mm", "size_std_mm")
+        refuse_larger(self, "size_mm", "size_std_mm")
         for key in NEEDED_BY_KIND.get(self.kind, ()):
             if getattr(self, key) is None:
                 raise problem(f'{key} is missing: kind = "{self.kind}" needs it')
@@ -455,18 +373,6 @@ class DisplaySettings(Table):
 
 BY_HAND = "manual:"
 """The address of a display that is a sheet of paper."""
-
-
-def _stated(value: float, std: float | None, relative: float, unit: str = "") -> Uncertain:
-    return Uncertain(value, relative * value if std is None else std, unit)
-
-
-def _refuse_larger(table: Table, name: str, error: str) -> None:
-    """Raise an error for a standard error larger than its value."""
-    value = getattr(table, name)
-    std = getattr(table, error)
-    if std is not None and std > value:
-        raise problem(f"{error} = {std:g}: allowed is 0 to {name} = {value:g}")
 
 
 def _is_convex(corners: tuple[tuple[float, float], ...]) -> bool:

@@ -8,9 +8,10 @@ from labkit.imaging.parts import ESTIMATED, OPTIONAL_PARTS
 from labkit.optics.metrics import psf_difference
 from labkit.optics.strehl import strehl
 from labkit.report.curves import ChannelFocus
-from labkit.report.table import Column, Row, Table, estimated, fixed
+from labkit.report.table import UNKNOWN, Column, Row, Table, estimated, fixed
 from labkit.results import Results
 
+COLOUR = "at that distance from the mean wavelength, if the colours' foci lie on a parabola"
 BOUND = "a bound: no more, with 95 % confidence"
 
 
@@ -35,11 +36,17 @@ def part_table(results: Results) -> Table | None:
 
 def light_table(results: Results, focused: Sequence[ChannelFocus]) -> Table | None:
     """How broad the light of each channel may be, and what that would do to its PSFs; None where the plan states all light."""
-    rows = []
+    rows, slopes = [], results.focus_slopes()
     for best in focused:
         nm = results.widest_light_nm.get(best.channel)
         if nm is None:
             continue
+        named = results.named_lights.get(best.channel)
+        light, width = (
+            (UNKNOWN, UNKNOWN)
+            if named is None
+            else (f"{named.light}, {named.filters}", estimated(named.width))
+        )
         photographed = [w.fitted for w in results.of_channel(best.channel)]
         most = max(psf_difference(fitted, fitted.in_light(nm)) for fitted in photographed)
         broad = best.fitted.in_light(nm)
@@ -47,15 +54,21 @@ def light_table(results: Results, focused: Sequence[ChannelFocus]) -> Table | No
             fixed(100 * difference, 1)
             for difference in (psf_difference(best.fitted, broad), most)
         ]
+        slope = slopes.get(best.channel)
+        away = UNKNOWN if slope is None else fixed(abs(slope) * nm, 3)
+        strehl_then = estimated(strehl(broad), least=3)
         rows.append(
-            Row((best.channel, fixed(nm, 0), estimated(strehl(broad), least=3), *apart))
+            Row((best.channel, light, width, fixed(nm, 0), strehl_then, *apart, away))
         )
     columns = (
         Column("channel", text=True),
-        Column("standard deviation", "nm", why=BOUND),
+        Column("light and filters", text=True),
+        Column("standard deviation by the tables", "nm"),
+        Column("at most", "nm", why=BOUND),
         Column("Strehl ratio then"),
         Column("PSF at best focus", "%, L1", why=BOUND),
         Column("as photographed", "%, L1", why=BOUND),
+        Column("defocus", "waves", why=COLOUR),
     )
     return Table(columns, tuple(rows), channels=0) if rows else None
 

@@ -1,12 +1,16 @@
-"""Longitudinal colour: how far the best focus of each channel is from that of a reference channel."""
+"""Longitudinal colour: how far the best focus of each channel is from that of a reference channel, and what follows within a
+channel."""
 
 from __future__ import annotations
 
+from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from labkit.results.model import Focus, Lens
+from labkit.optics.wavefront import DEFOCUS
+from labkit.results.model import Focus, Lens, Wavefront
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
@@ -98,3 +102,33 @@ def _on_sensor(
 def _std(covariance: Floats, *gradient: float) -> float:
     slope = np.array(gradient)
     return float(np.sqrt(max(slope @ covariance @ slope, 0.0)))
+
+
+def focus_slopes(wavefronts: Sequence[Wavefront]) -> dict[str, float]:
+    """Return how defocus changes with the wavelength within each channel, by the channels' defocus at several stations.
+
+    Parameters
+    ----------
+    wavefronts : those of one range are of one lens at one place: their defocus differs by longitudinal colour alone
+
+    Returns
+    -------
+    Waves RMS of Noll mode 4, at the reference wavelength, per nm, by channel: the slope of the parabola through the defocus of
+    three channels and more, of the line through that of two; means over the ranges. Channels whose sign is open, and those
+    alone in their ranges, are left out.
+    """
+    together = defaultdict[tuple[object, ...], list[Wavefront]](list)
+    for w in wavefronts:
+        if w.defocus is not None and not w.sign_open:
+            together[w.range_mm, w.tile].append(w)
+    slopes = defaultdict[str, list[float]](list)
+    for group in together.values():
+        nm = np.array([w.wavelength_nm for w in group])
+        different = np.unique(nm).size
+        if different < 2:
+            continue
+        values = [w[DEFOCUS].value for w in group]
+        curve = np.polynomial.Polynomial.fit(nm, values, min(different - 1, 2)).deriv()
+        for w in group:
+            slopes[w.channel].append(float(curve(w.wavelength_nm)))
+    return {channel: float(np.mean(each)) for channel, each in slopes.items()}

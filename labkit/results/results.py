@@ -17,9 +17,10 @@ from labkit.key import Key, same_range
 from labkit.optics.lens import ThinLens
 from labkit.plan import Plan
 from labkit.results import storage, tables, verdicts
-from labkit.results.colour import ColourShift, longitudinal_colour
+from labkit.results.colour import ColourShift, focus_slopes, longitudinal_colour
 from labkit.results.model import Focus, Lens, PartTried, Wavefront
 from labkit.results.tables import ChannelSummary, channel_summary
+from labkit.spectra import ChannelLight
 from labkit.uncertain import Uncertain
 from labkit.version import __version__
 
@@ -35,7 +36,8 @@ class Results:
     number that leads the results, its standard error by source, in the number's unit. joint: by how many standard errors each
     number moved in a climb over all frames at once, where there was one. model_parts: what was fitted of the camera, such as
     ``low_pass_filter.spread_px``; parts_tried: which parts the photographs were asked about. widest_light_nm: the largest
-    standard deviation that they allow each channel's light, with 95 % confidence, where the plan states no spectrum.
+    standard deviation that they allow each channel's light, with 95 % confidence, where the plan states no spectrum or names a
+    kind of light.
     findings: what to know of the numbers; `warnings` are the texts of those that warn.
     unanswered: what these frames cannot determine though it was to be estimated; findings say it too. folder: where it is
     kept.
@@ -95,6 +97,12 @@ class Results:
         return tuple(finding.text for finding in self.findings if finding.warns)
 
     @property
+    def named_lights(self) -> dict[str, ChannelLight]:
+        """The light of each channel whose plan names it, by the tables that come with labkit."""
+        named = {name: self.plan.named_light(name) for name in self.channels}
+        return {name: light for name, light in named.items() if light is not None}
+
+    @property
     def reference_wavelength_nm(self) -> float:
         """Wavelength of the unit of waves."""
         return self.plan.reference_wavelength_nm
@@ -138,6 +146,11 @@ class Results:
     def longitudinal_colour(self) -> tuple[ColourShift, ...]:
         """Best focus of each channel less that of G, in mm of range and um on the sensor; empty without two channels."""
         return longitudinal_colour(self.focus, self.lens)
+
+    def focus_slopes(self) -> dict[str, float]:
+        """By channel, waves RMS of Noll 4 per nm of wavelength, as the channels' longitudinal colour lets expect; empty without
+        two channels."""
+        return focus_slopes(self.wavefronts)
 
     def _of(self, channel: str) -> tuple[Wavefront, ...]:
         of = self.of_channel(channel)

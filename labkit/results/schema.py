@@ -407,6 +407,15 @@ class PartTriedEntry(Entry):
     adopted: bool
 
 
+class LightEntry(Entry):
+    """The light of a channel by its name."""
+
+    light: Text = Field(alias="name")
+    filters: Text
+    mean: Annotated[Uncertain, uncertain()] = Field(alias="mean_nm")
+    width: Annotated[Uncertain, uncertain()] = Field(alias="width_nm")
+
+
 class Content(Entry):
     """The whole of results.json."""
 
@@ -424,7 +433,9 @@ class Content(Entry):
     joint: dict[Name, Finite] = Field(default_factory=dict)
     model_parts: dict[Name, Annotated[Uncertain, uncertain()]] = Field(default_factory=dict)
     parts_tried: tuple[Annotated[PartTried, table(PartTriedEntry, PartTried)], ...] = ()
+    light: dict[Name, LightEntry] = Field(default_factory=dict)
     widest_light_nm: dict[Name, Tenths] = Field(default_factory=dict)
+    focus_waves_per_nm: dict[Name, Finite] = Field(default_factory=dict)
     findings: tuple[FindingEntry, ...] | None = None
     warnings: tuple[Text, ...]
     unanswered: Text | None = None
@@ -452,6 +463,8 @@ class Content(Entry):
             convention=plan.fit.convention,
             wavefronts=tuple(map(WavefrontEntry.of_wavefront, results.wavefronts)),
             lens=None if lens is None else LensEntry.of_results(results, lens),
+            light={name: LightEntry.of(of) for name, of in results.named_lights.items()},
+            focus_waves_per_nm=results.focus_slopes(),
             findings=tuple(map(FindingEntry.of, results.findings)),
         )
 

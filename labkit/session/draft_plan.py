@@ -23,6 +23,7 @@ USUAL_NM = {"R": 605.0, "G": 535.0, "B": 465.0}
 """Where colour filters of cameras let through most, about, in daylight."""
 
 USUAL_STD_NM = 10.0
+USUAL_LIGHT = "led-panel"
 FILL_IN = "# fill in: "
 HOW_TO_FILL_IN = (
     '# Lines marked "fill in" hold what no photograph says, with an example: '
@@ -234,7 +235,7 @@ def _channel(name: str) -> Iterator[Row]:
         yield (
             "wavelength_nm",
             f"{USUAL_NM[name]:g}",
-            "usual for such a filter; better is that of your light through it",
+            f'usual for such a filter; or name your light in place of both lines, light = "{USUAL_LIGHT}"',
         )
         yield "wavelength_std_nm", f"{USUAL_STD_NM:g}", "its standard error"
     else:

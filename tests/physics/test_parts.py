@@ -16,7 +16,9 @@ from labkit.imaging.parts import Diffusion, LowPass, Part, Smear, SpectrumWidth,
 from labkit.imaging.parts.blur import BROADEST_PX, NARROWEST_PX
 from labkit.optics.psf import Pupil
 from labkit.optics.spectrum import WIDEST_SPECTRUM, Spectrum
+from labkit.plan import Channel
 from labkit.types import Floats
+from labkit.uncertain import Uncertain
 from tests.unit.test_cone import CARPET, OPTICS, POSE, TRUTH
 
 ROWS, COLUMNS = np.linspace(0.0, 1.3, 7)[:, None], np.linspace(-1.2, 1.1, 8)[None, :]
@@ -178,6 +180,48 @@ def test_the_psf_of_a_spectrum_is_the_mean_of_its_wavelengths() -> None:
         mean, abs=2.5e-6
     )  # pupils of other sizes fold other halos into their windows
     assert mean.max() > 0.03
+
+
+LIT = Spectrum.of_samples([480.0, 540.0, 560.0, 620.0], [1.0, 4.0, 3.0, 1.0], 550.0)
+
+
+def test_a_spectrum_of_another_width_keeps_its_form_and_mean() -> None:
+    wider = LIT.with_variance(2 * LIT.variance)
+    assert wider.weights == LIT.weights
+    assert wider.mean == pytest.approx(LIT.mean)
+    assert wider.variance == pytest.approx(2 * LIT.variance)
+    assert Spectrum().with_variance(4e-4) == Spectrum.of_width(4e-4)
+
+
+def test_a_typical_spectrum_grows_and_shrinks_about_its_own_width() -> None:
+    part = SpectrumWidth().about(LIT)
+    assert part.light == LIT
+    (slopes,) = part.light_slopes()
+    nodes, weights = np.array([*slopes]), np.array([*slopes.values()])
+    moments = [weights.sum(), weights @ nodes, weights @ (nodes - LIT.mean) ** 2]
+    assert moments == pytest.approx([0, 0, 1], abs=1e-9)  # by the variance's own slope
+    assert part.at([1.0]).light.variance == pytest.approx(2 * LIT.variance)
+    assert 0 < part.at([-1.0]).light.variance < 0.02 * LIT.variance
+    found = part.quantities(
+        [Uncertain(-0.5 * LIT.variance, 0.1 * LIT.variance)],
+        Channel.from_tables({"name": "G", "wavelength_nm": 550.0}),
+    )
+    width_nm = found["spectrum.G.width_nm"]
+    assert width_nm.value == pytest.approx(550 * np.sqrt(0.5 * LIT.variance))
+    assert width_nm.std == pytest.approx(0.1 * width_nm.value)
+
+
+def test_slopes_by_a_typical_light_are_differences_of_pictures() -> None:
+    torus, waves = Torus((96, 96), (8, 8), (80, 80), 5, 5.0, 0.45), np.array([0.2, -0.1])
+    pupil, part = Pupil(0.55, 0.45, 5.0, 5.0 / 5, 96, (4, 7)), SpectrumWidth().about(LIT)
+    blur = Blur(torus, pupil, 5.0, LIT, parts=(part,))
+    slope, step = next(blur.by_parts(waves)), 0.05 * LIT.variance
+    up, down = (
+        replace(blur, spectrum=part.at([sign * step]).light).transfer(waves)
+        for sign in (1, -1)
+    )
+    difference = (up - down) / (2 * step)
+    assert np.linalg.norm(slope - difference) < 0.01 * np.linalg.norm(difference)
 
 
 def test_a_spectrum_that_can_grow_no_more_has_the_slope_that_it_had_just_before() -> None:

@@ -114,6 +114,13 @@ SAMPLES = [
         "smear", "smear", {"rows_px": Uncertain(0.4, 0.01, "px")}, 120.0, MOVES
     ),
     found(
+        "light-contradicted",
+        None,
+        {"list": "G 18.0 ± 4.0 nm in place of 39 nm"},
+        found_nm={"G": {"value": 18.0, "std": 4.0}},
+        named_nm={"G": 39.0},
+    ),
+    found(
         "higher-modes-found",
         None,
         {"waves_words": "0.0350 ± 0.0002"},

@@ -14,7 +14,7 @@ LAYERS = {
         *("types", "errors", "key", "mode_groups", "pace", "uncertain", "version"),
         *("findings", "files", "arrays", "npz", "typed_file", "apart"),
         *("sharing", "execute", "figure_style"),
-        *("plan", "target", "target_file"),
+        *("spectra", "plan", "target", "target_file"),
     ],
     "model": ["optics", "panel", "imaging"],
     "material": [

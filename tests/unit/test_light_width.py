@@ -11,6 +11,7 @@ from labkit.estimation.local import Found
 from labkit.estimation.scores import ScoreTest
 from labkit.estimation.searches import Task
 from labkit.plan import Plan
+from labkit.spectra import TYPICAL, channel_light
 from tests.optimum_samples import PLAN, Play, optimum, played, range_of
 
 STD = 1e-3
@@ -53,3 +54,24 @@ def test_of_light_that_the_plan_states_nothing_is_said() -> None:
     ]
     assert [*widest_light_nm(fits, PLAN)] == ["G", "R"]
     assert [*widest_light_nm(fits, Plan.from_tables(tables | {"channel": stated}))] == ["R"]
+
+
+NAMED = Plan.from_tables(
+    {
+        **PLAN.model_dump(mode="json", exclude_none=True),
+        "channel": [{"name": "G", "light": "led"}],
+    }
+)
+
+
+def test_a_named_light_s_width_counts_as_a_measurement() -> None:
+    light = channel_light("led", TYPICAL, "G")
+    nm, width, std = NAMED.channel[0].wavelength_nm, light.width.value, light.width.std
+    square_std = 2 * width * std  # of the squared width
+    unheard = widest_light_nm(session(0.0, std=1.0), NAMED)
+    assert unheard == {"G": pytest.approx(np.sqrt(width**2 + 1.645 * square_std), rel=1e-3)}
+    # four fits that call for as much less as the light's own standard error, each with twice that error
+    excess = square_std / nm**2
+    heard = widest_light_nm(session(-excess, std=2 * excess), NAMED)
+    both = width**2 - square_std / 2 + 1.645 * square_std / np.sqrt(2)
+    assert heard == {"G": pytest.approx(np.sqrt(both), rel=1e-3)}

@@ -19,7 +19,7 @@ from labkit.imaging.parts.blur import BROADEST_PX, NARROWEST_PX, SCALE_PX
 from labkit.imaging.parts.rim import USUAL_SHARE
 from labkit.optics.spectrum import WIDEST_SPECTRUM, Spectrum
 from labkit.plan import Plan
-from labkit.plan.tables import WIDEST_LIGHT
+from labkit.plan.channel import WIDEST_LIGHT
 from tests.plans import IPAD, PORTRAIT, RED_AND_GREEN, plan_text, simulated
 
 LEAST = plan_text(PORTRAIT, RED_AND_GREEN, {"target": {"order": 5, "size_mm": 46.8}})

@@ -26,7 +26,7 @@ def asked(
     return run(["plan", "--interactive", "--out", str(tmp_path / "plan.toml"), *options])
 
 
-BEFORE_TARGET = ["yes", "70", "f/2,8", "4.78", "650", "550", "450"]
+BEFORE_TARGET = ["yes", "70", "f/2,8", "4.78", "unknown", "650", "550", "450"]
 
 
 TARGET = ["", "5", "46.8"]
@@ -35,7 +35,7 @@ TARGET = ["", "5", "46.8"]
 def test_what_is_known_only_of_a_lens_a_sensor_and_a_target_has_no_default(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    answers = ["", "70", "2.8", "4.78", "", "", "", "", "5", "46.8", "", "", ""]
+    answers = ["", "70", "2.8", "4.78", *[""] * 5, "5", "46.8", "", "", ""]
     assert asked(answers, tmp_path, monkeypatch) == 0
     plan = Plan.load(tmp_path / "plan.toml")
     assert (plan.lens.focal_length_mm, plan.target.order, plan.camera) == (70.0, 5, None)
@@ -50,8 +50,8 @@ def test_what_is_known_only_of_a_lens_a_sensor_and_a_target_has_no_default(
         (1, "lens.focal_length_mm"),
         (2, "lens.f_number"),
         (3, "sensor.pixel_pitch_um"),
-        (8, "target.order"),
-        (9, "target.size_mm"),
+        (9, "target.order"),
+        (10, "target.size_mm"),
     ],
 )
 def test_nothing_is_invented_for_an_empty_answer(
@@ -61,7 +61,7 @@ def test_nothing_is_invented_for_an_empty_answer(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    answers = ["", "70", "2.8", "4.78", "", "", "", "", "5", "46.8"]
+    answers = ["", "70", "2.8", "4.78", *[""] * 5, "5", "46.8"]
     answers[place] = ""
     assert asked(answers, tmp_path, monkeypatch) == 2
     question, said = capsys.readouterr().err.splitlines()[-2:]
@@ -81,7 +81,7 @@ def test_nothing_is_invented_for_an_empty_answer(
 def test_units_may_be_typed(
     focal: str, stop: str, pitch: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    answers = ["", focal, stop, pitch, "605 nm", "", "", *TARGET, "", ""]
+    answers = ["", focal, stop, pitch, "", "605 nm", "", "", *TARGET, "", ""]
     assert asked(answers, tmp_path, monkeypatch) == 0
     plan = Plan.load(tmp_path / "plan.toml")
     stated = plan.lens.focal_length_mm, plan.lens.f_number, plan.sensor.pixel_pitch_um
@@ -120,6 +120,16 @@ def test_answers_are_read_as_people_write_them(
     assert plan.display.by_hand
 
 
+def test_a_light_by_its_name_takes_the_place_of_wavelengths(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers = [*BEFORE_TARGET[:4], "daylight", *TARGET, "", ""]
+    assert asked(answers, tmp_path, monkeypatch) == 0
+    assert "wavelength_nm" not in (tmp_path / "plan.toml").read_text()
+    plan = Plan.load(tmp_path / "plan.toml")
+    assert [channel.light for channel in plan.channel] == ["daylight"] * 3
+
+
 def test_what_a_target_needs_is_asked_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -143,6 +153,11 @@ def test_what_a_target_needs_is_asked_for(
         (
             ["yes", "long"],
             "lens.focal_length_mm = 'long': allowed is a number, 0.1 to 10000",
+        ),
+        (
+            [*BEFORE_TARGET[:4], "candle"],
+            "channel.light = 'candle': allowed is one of led, led-panel, rgb-led, ccfl-panel, fluorescent, halogen, "
+            "daylight, or unknown",
         ),
         ([*BEFORE_TARGET, "carpet"], "target.kind = 'carpet': allowed is checkerboard"),
         ([*BEFORE_TARGET, "image", "no.pgm"], "no.pgm"),

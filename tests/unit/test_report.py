@@ -21,6 +21,7 @@ from labkit.optics.wavefront import FittedWavefront
 from labkit.report.focus_charts import defocus_chart
 from labkit.report.html import write_report
 from labkit.results.model import PartTried, Wavefront
+from labkit.spectra import channel_light
 from labkit.uncertain import Uncertain
 from tests.results_samples import ACCEPTED, PLAN, a_wavefront, noted, some_results, written
 
@@ -256,6 +257,18 @@ def test_a_pupil_that_is_no_disc_is_drawn_and_explained(tmp_path: Path) -> None:
     assert [alt for alt in alts if alt.startswith("The pupil as found: f/")]
 
 
+def test_light_that_the_plan_names_is_there_by_its_name(
+    tmp_path: Path, words_only: None
+) -> None:
+    channels = [{"name": "R", "light": "led", "wavelength_nm": 610.0}]
+    lit = PLAN.replace(channel=channels, sensor={"filters": "Nikon D700"})
+    tried = (PartTried("veil", 0.0, False),)
+    folder = written(tmp_path, widest_light_nm={"R": 49.0}, plan=lit, parts_tried=tried)
+    words = Page(write_report(folder).read_text()).words()
+    width = channel_light("led", "Nikon D700", "R").width
+    assert f"R led, Nikon D700 {width.value:.1f} ± {width.std:.1f} 49 " in words
+
+
 def test_light_that_the_plan_does_not_state_is_named_with_what_it_may_do(
     tmp_path: Path, words_only: None
 ) -> None:
@@ -263,7 +276,9 @@ def test_light_that_the_plan_does_not_state_is_named_with_what_it_may_do(
         tmp_path, widest_light_nm={"R": 20.0}, parts_tried=(PartTried("veil", 0.0, False),)
     )
     words = Page(write_report(folder).read_text()).words()
-    (shown,) = re.findall(r"R 20 \S+ ± \S+ (\S+) (\S+) Without an error: a a bound", words)
+    (shown,) = re.findall(
+        r"R — — 20 \S+ ± \S+ (\S+) (\S+) 0.000 Without an error: a a bound", words
+    )
 
     def difference(wavefront: Wavefront, fitted: FittedWavefront) -> float:
         """Of three wavelengths whose mean and standard deviation are those, and the mean one."""

@@ -13,6 +13,7 @@ from labkit.analysis.session_parts import model_parts, part_findings
 from labkit.analysis.session_results import session_findings
 from labkit.estimation.candidate import Measured, Observed
 from labkit.estimation.estimate import Estimate, LocalFit
+from labkit.estimation.light_width import widest_light_nm
 from labkit.estimation.select import select
 from labkit.findings import Finding, Moves, found
 from labkit.imaging.parts import SpectrumWidth
@@ -73,6 +74,18 @@ def test_a_filter_is_given_by_how_far_apart_its_spots_lie() -> None:
         < rows.std
         < 1.01 * np.sqrt(2) * 0.003 / np.sqrt(3) / (2 * 0.55)
     )
+
+
+@pytest.mark.parametrize(("value", "share"), [(WIDTH, 1.0), (-1e-4, 0.0)])
+def test_a_width_that_was_estimated_is_bounded_by_its_own_error(
+    value: float, share: float
+) -> None:
+    fits = session((WIDTH_LABEL,), [value], [3e-4])
+    std = 3e-4 * np.sqrt(2 / 3)  # of three fits, each with a common error as large
+    most = widest_light_nm(fits, Plan.from_tables(PORTRAIT))
+    assert most == {
+        "G": pytest.approx(550 * np.sqrt(share * WIDTH + 1.645 * std), rel=0.02)
+    }
 
 
 def test_what_was_found_is_said() -> None:

@@ -10,6 +10,7 @@ import pytest
 from labkit.optics.encircled_energy import radius_of_energy
 from labkit.optics.metrics import psf, rms
 from labkit.optics.mtf import mtf, mtf50
+from labkit.optics.spectrum import Spectrum
 from labkit.optics.strehl import strehl
 from labkit.optics.through_focus import depth_of_focus, strehl_through_focus
 from labkit.optics.wavefront import FittedWavefront
@@ -51,6 +52,17 @@ def test_curves_and_images_have_such_errors_too() -> None:
     assert deep[1] is not None
     assert deep[1].span.value == deep[0].span.value
     assert deep[1].span.std > deep[0].span.std
+
+
+def test_light_of_a_known_form_is_stretched() -> None:
+    form = Spectrum((0.94, 1.0, 1.02), (0.2, 0.5, 0.3))
+    lit = replace(KNOWN, spectrum=form)
+    nm = 550 * form.variance**0.5
+    known, open_ = psf(lit, 0.5, 21), psf(replace(lit, widest_nm=1.3 * nm), 0.5, 21)
+    wider = psf(replace(lit, spectrum=form.with_variance(1.69 * form.variance)), 0.5, 21)
+    np.testing.assert_array_equal(open_.value, known.value)
+    change = np.sqrt(np.mean((wider.value - known.value) ** 2))
+    assert change < np.sqrt(np.mean(open_.std**2)) < 2 * change
 
 
 def test_paths_do_not_depend_on_the_light() -> None:

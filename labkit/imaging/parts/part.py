@@ -33,8 +33,6 @@ class Part(Estimated):
     ----------
     reach_px : distance from a point's image within which a model must keep its light,
         pixels
-    broadest : the broadest spectrum that an estimate may reach; None for a part that is not
-        of the light
     of_rim : whether the part shapes the pupil's rim
     sought : whether fits test for the part by a score test if a plan does not state it
     far : whether the numbers are so far from 0 that a score test at 0 hardly shows the
@@ -45,7 +43,6 @@ class Part(Estimated):
     __slots__ = ()
 
     reach_px: ClassVar[float] = 0.0
-    broadest: ClassVar[Spectrum | None] = None
     of_rim: ClassVar[bool] = False
     sought: bool = True
     far: ClassVar[bool] = False
@@ -94,6 +91,15 @@ class Part(Estimated):
     def light(self) -> Spectrum | None:
         """Spectrum of the light; None for a part that is not of the light."""
         return None
+
+    @property
+    def broadest(self) -> Spectrum | None:
+        """The broadest spectrum that an estimate may reach; None for a part that is not of the light."""
+        return None
+
+    def about(self, typical: Spectrum) -> Self:
+        """Return the part for light of a typical spectrum, on which only parts of the light depend."""
+        return self
 
     def light_slopes(self) -> tuple[Mapping[float, float], ...]:
         """Return the derivatives of `light` by each number: of each node's weight, by node."""

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 from labkit.imaging.estimated import root
 from labkit.imaging.parts.part import Part, finite
-from labkit.optics.spectrum import WIDEST_SPECTRUM, Spectrum
+from labkit.optics.spectrum import ONE_WAVELENGTH, WIDEST_SPECTRUM, Spectrum
 from labkit.plan import Channel, Plan
 from labkit.uncertain import Uncertain
 
 MOST_VARIANCE = WIDEST_SPECTRUM**2
+LARGEST_LESS = 0.99
+"""Largest share of a typical spectrum's variance that an estimate may subtract."""
+
 VARIANCE_STEP, LEAST_VARIANCE_STEP = (
     0.1,
     1e-6,
@@ -22,12 +25,15 @@ VARIANCE_STEP, LEAST_VARIANCE_STEP = (
 
 @dataclass(frozen=True, slots=True)
 class SpectrumWidth(Part):
-    """Light of a symmetric spectrum. variance: of its wavelengths, over the squared wavelength of the channel.
+    """Light of a symmetric spectrum, or of another width than a typical one.
 
-    Below 0 the light sharpens as much as light of the positive variance blurs: `Spectrum.of_width`.
+    variance: of the wavelengths, over the squared wavelength of the channel, in excess of
+    the variance of `typical`. Without a typical spectrum light of a variance below 0
+    sharpens as much as light of the positive variance blurs: `Spectrum.of_width`.
     """
 
     variance: float = 0.0
+    typical: Spectrum = ONE_WAVELENGTH
 
     name: ClassVar[str] = "spectrum"
     title: ClassVar[str] = "spectrum"
@@ -36,7 +42,6 @@ class SpectrumWidth(Part):
     usual: ClassVar[tuple[float, ...]] = (MOST_VARIANCE,)
     meanings: ClassVar[Mapping[str, str]] = {"width_nm": "standard deviation"}
     per_channel: ClassVar[bool] = True
-    broadest: ClassVar[Spectrum] = Spectrum.of_width(MOST_VARIANCE)
 
     @property
     def values(self) -> tuple[float, ...]:
@@ -44,7 +49,15 @@ class SpectrumWidth(Part):
 
     def at(self, values: Sequence[float]) -> Self:
         (variance,) = values
-        return type(self)(min(max(float(variance), -MOST_VARIANCE), MOST_VARIANCE))
+        least, most = self._bounds
+        return replace(self, variance=min(max(float(variance), least), most))
+
+    def about(self, typical: Spectrum) -> Self:
+        return replace(self, typical=typical)
+
+    @property
+    def one_sided(self) -> bool:  # type: ignore[override]
+        return not self.typical.variance
 
     @property
     def idle(self) -> bool:
@@ -52,18 +65,35 @@ class SpectrumWidth(Part):
 
     @property
     def light(self) -> Spectrum:
-        return Spectrum.of_width(self.variance)
+        return self._with(self.variance)
+
+    @property
+    def broadest(self) -> Spectrum:
+        """Of all spectra within the bounds."""
+        return self._with(self._bounds[1])
 
     def light_slopes(self) -> tuple[Mapping[float, float], ...]:
         """Return central differences, one-sided if the variance can grow no more."""
-        step = max(VARIANCE_STEP * abs(self.variance), LEAST_VARIANCE_STEP)
-        above = min(self.variance + step, MOST_VARIANCE)
-        below = max(self.variance - step, -MOST_VARIANCE)
+        least, most = self._bounds
+        step = max(
+            VARIANCE_STEP * abs(self.typical.variance + self.variance), LEAST_VARIANCE_STEP
+        )
+        above = min(self.variance + step, most)
+        below = max(self.variance - step, least)
         slopes = defaultdict[float, float](float)
         for sign, variance in ((1, above), (-1, below)):
-            for share, node in Spectrum.of_width(variance).shares:
+            for share, node in self._with(variance).shares:
                 slopes[node] += sign * share / (above - below)
         return (slopes,)
+
+    @property
+    def _bounds(self) -> tuple[float, float]:
+        """Least and largest variance in excess of the typical one, which is at most doubled."""
+        known = self.typical.variance
+        return (-LARGEST_LESS * known, known) if known else (-MOST_VARIANCE, MOST_VARIANCE)
+
+    def _with(self, variance: float) -> Spectrum:
+        return self.typical.with_variance(self.typical.variance + variance)
 
     def stated(self, plan: Plan, channel: Channel) -> tuple[Self, bool] | None:
         if channel.width_nm is None:
@@ -77,8 +107,9 @@ class SpectrumWidth(Part):
     ) -> dict[str, Uncertain]:
         assert channel is not None
         (variance,) = numbers
+        whole = Uncertain(variance.value + self.typical.variance, variance.std)
         nm = channel.wavelength_nm
-        width = root(variance)
+        width = root(whole)
         return {
             f"spectrum.{channel.name}.width_nm": Uncertain(
                 nm * width.value, nm * width.std, "nm"

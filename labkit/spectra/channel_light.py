@@ -1,0 +1,101 @@
+"""The light that a channel records: typical spectra of a kind of light, through the filters of a body or of many."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cache
+from statistics import stdev
+
+from labkit.spectra.tables import COLOURS, TYPICAL, Samples, tables
+from labkit.uncertain import Uncertain
+
+LED = ("CIE LED-B1", "CIE LED-B2", "CIE LED-B3", "CIE LED-B4", "CIE LED-B5")
+RGB_LED = (
+    "CIE LED-RGB1",
+    "NIST 3-LED-1 (457/540/605)",
+    "NIST 3-LED-3 (465/546/614)",
+    "NIST 3-LED-4 (455/547/623)",
+)
+LIGHT_KINDS: dict[str, tuple[str, ...]] = {
+    "led": LED,
+    "led-panel": (*LED[3:], *RGB_LED[2:]),
+    "rgb-led": RGB_LED,
+    "ccfl-panel": ("Apple Studio Display, white", "NIST F32T8/TL865"),
+    "fluorescent": ("CIE FL2", "CIE FL7", "CIE FL11"),
+    "halogen": ("CIE A", "ISO 7589 studio tungsten"),
+    "daylight": ("CIE D50", "CIE D65", "CIE D75"),
+}
+"""Kinds of light, and the spectra that stand for each. Filters of a panel cut light between its colours: its spectrum is
+between those of a white and of a three-colour LED, and no measured one was found that may be passed on."""
+
+TABLE_STD_NM = 1.0
+"""Standard error of means and widths by the tables themselves, whose wavelengths are 5 and 10 nm apart."""
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelLight:
+    """Light times filter of one channel.
+
+    Attributes
+    ----------
+    light, filters : name of the kind of light, and of the body
+    nm, weights : (n,) samples of the mean of all spectra of the kind; weights sum to 1
+    mean : mean wavelength, nm; its error is the standard deviation among the spectra of the
+        kind and the bodies
+    width : standard deviation of the wavelengths, nm, with such an error
+    """
+
+    light: str
+    filters: str
+    nm: Samples
+    weights: Samples
+    mean: Uncertain
+    width: Uncertain
+
+    def about(self, mean_nm: float) -> ChannelLight:
+        """Return the same light, moved to another mean wavelength."""
+        moved = tuple(nm + mean_nm - self.mean.value for nm in self.nm)
+        return replace(self, nm=moved, mean=Uncertain(mean_nm, self.mean.std, "nm"))
+
+
+@cache
+def channel_light(light: str, filters: str, colour: str) -> ChannelLight:
+    """Return the light of a channel.
+
+    Parameters
+    ----------
+    light : one of `LIGHT_KINDS`
+    filters : body in the table, or `TYPICAL` for all of them
+    colour : R, G or B
+    """
+    table = tables()
+    bodies = [*table.filters] if filters == TYPICAL else [filters]
+    products = [
+        _product(table.lights[name], table.filters[body][COLOURS.index(colour)])
+        for name in LIGHT_KINDS[light]
+        for body in bodies
+    ]
+    whole = [sum(each) / len(products) for each in zip(*products, strict=True)]
+    samples = [(nm, w) for nm, w in zip(table.nm, whole, strict=True) if w > 0]
+    nm, weights = zip(*samples, strict=True)
+    every = [_moments(table.nm, product) for product in products]
+    mean, width = (
+        Uncertain(value, math.hypot(stdev(each), TABLE_STD_NM), "nm")
+        for value, each in zip(_moments(nm, weights), zip(*every, strict=True), strict=True)
+    )
+    return ChannelLight(light, filters, nm, weights, mean, width)
+
+
+def _product(light: Samples, sensitivity: Samples) -> Samples:
+    """Return light times filter, with unit sum."""
+    product = [a * b for a, b in zip(light, sensitivity, strict=True)]
+    whole = sum(product)
+    return tuple(each / whole for each in product)
+
+
+def _moments(nm: Samples, weights: Samples) -> tuple[float, float]:
+    """Return mean and standard deviation of the wavelengths, nm, for weights with unit sum."""
+    mean = sum(a * w for a, w in zip(nm, weights, strict=True))
+    square = sum((a - mean) ** 2 * w for a, w in zip(nm, weights, strict=True))
+    return mean, math.sqrt(square)
