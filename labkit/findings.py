@@ -11,7 +11,6 @@ import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
-from typing import Any
 
 from labkit.key import Key
 from labkit.types import JSON
@@ -62,38 +61,6 @@ class Finding:
 
     def __str__(self) -> str:
         return self.text
-
-    def as_json(self) -> dict[str, JSON]:
-        """Return an entry of "findings" in results.json; `warns` shows in "warnings"."""
-        where = (
-            {"range_mm": None, "channel": None, "tile": None}
-            if self.key is None
-            else self.key.as_json()
-        )
-        return {
-            "code": self.code,
-            "where": where,
-            "numbers": self.numbers,
-            "text": self.text,
-        }
-
-    @classmethod
-    def from_json(cls, entry: Mapping[str, Any], warnings: Collection[str]) -> Finding:
-        """Read a finding written by `as_json`.
-
-        Parameters
-        ----------
-        warnings : the texts of all findings that warn
-
-        Raises
-        ------
-        KeyError, TypeError, ValueError
-            `entry` is not a finding.
-        """
-        where = entry["where"]
-        text = str(entry["text"])
-        key = None if where["channel"] is None else Key.from_json(where)
-        return cls(str(entry["code"]), key, dict(entry["numbers"]), text, text in warnings)
 
 
 def each_once(findings: Iterable[Finding]) -> list[Finding]:

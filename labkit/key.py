@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -56,18 +55,6 @@ class Key:
         """Return the key as results.json keeps it."""
         tile = None if self.tile is None else list(self.tile)
         return {"range_mm": self.range_mm, "channel": self.channel, "tile": tile}
-
-    @classmethod
-    def from_json(cls, entry: Mapping[str, Any]) -> Key:
-        """Read a key written by `as_json`. Raises KeyError, TypeError or ValueError for any other entry."""
-        range_mm = entry["range_mm"]
-        tile = entry.get("tile")
-        if tile is not None:
-            row, column = tile
-            tile = int(row), int(column)
-        return cls(
-            None if range_mm is None else float(range_mm), str(entry["channel"]), tile
-        )
 
     @property
     def _rank(self) -> tuple[bool, float, str, tuple[int, ...]]:
