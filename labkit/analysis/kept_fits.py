@@ -95,7 +95,8 @@ class KeptFits:
             return None
         try:
             signed = place.read_bytes()
-            signature, content = signed[:SIGNATURE_BYTES], signed[SIGNATURE_BYTES:]
+            signature = signed[:SIGNATURE_BYTES]
+            content = signed[SIGNATURE_BYTES:]
             if hmac.compare_digest(signature, self._signature(place, content)):
                 return typed_file.load(content, kind)
         except (OSError, ValueError):

@@ -241,7 +241,8 @@ def _observation(
     calibration: Calibration, target: Target, shots: Sequence[_Shot], channel: str
 ) -> tuple[Observation, tuple[Finding, ...]]:
     """Return the observation of one range and channel, and findings about assumptions."""
-    first, group = shots[0].mosaic, [shot.frame for shot in shots]
+    first = shots[0].mosaic
+    group = [shot.frame for shot in shots]
     rows, columns = cut = cut_around([shot.corners_px for shot in shots], first.shape)
     outline = [Pose.from_corners(shot.corners_px, target.size_mm) for shot in shots]
     poses = tuple(pose.shifted(rows.start, columns.start) for pose in outline)
@@ -307,7 +308,8 @@ def _measured(group: Sequence[Frame]) -> float | None:
 def _noise(data: ChannelData, mosaic: Photograph) -> NoisePrior:
     """Return a prior for the noise from flats and darks, or a wide prior without them."""
     noise = data.noise
-    gain, read = noise.gain, noise.read_noise
+    gain = noise.gain
+    read = noise.read_noise
     white = mosaic.full_light
     gain_relative_std = (
         max(noise.gain_std / gain, 1e-3) if gain and noise.gain_std else UNKNOWN_NOISE_STD

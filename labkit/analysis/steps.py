@@ -24,7 +24,9 @@ class Steps:
         """Report progress, see `Progress`, and forget messages of earlier work."""
         if step.partition(": ")[0] != self.step.partition(": ")[0]:
             self.said = {}
-        self.done, self.total, self.step = done, total, step
+        self.done = done
+        self.total = total
+        self.step = step
         self._report()
 
     def before(self, done: int, total: int, step: str) -> None:

@@ -93,7 +93,8 @@ class BoxFit:
 def box_task(frames: Sequence[ChannelFrame], camera: Camera, place: Place) -> BoxTask:
     """Return the task of one box in all frames. Raises DataError for too few pixels."""
     regions = tuple(of.region(place, j) for j, of in enumerate(frames))
-    planes, problem = tuple[Plane, ...](), ""
+    planes = tuple[Plane, ...]()
+    problem = ""
     try:
         planes = tuple(frames[0].planes(place))
     except DataError as error:
@@ -146,7 +147,8 @@ def _refuse_contradiction(fit: EdgeFit) -> None:
                 f"it holds edges at different depths: its halves are out of focus by {one:.3f} ± {one_std:.3f} and "
                 f"{other:.3f} ± {other_std:.3f} waves; take a box for each"
             )
-    region, edge = fit.problem.regions[0], fit.state.edge(0)
+    region = fit.problem.regions[0]
+    edge = fit.state.edge(0)
     of, _ = fit.problem.slopes(fit.state, 0)
     left = coherent_rms(region, edge, region.counts - of.mean) / abs(edge.far - edge.near)
     if left > MOST_LEFT:

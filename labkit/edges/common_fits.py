@@ -55,7 +55,8 @@ def contradictions(fits: Fits) -> dict[Place, str]:
         ends = [end.defocus() for end in _one_side([*boxes.values()])]
         value = np.array([defocus for defocus, _ in ends])
         std = np.hypot([error for _, error in ends], ALIKE_WAVES)
-        places, left = [*boxes], list(range(len(boxes)))
+        places = [*boxes]
+        left = list(range(len(boxes)))
         while len(left) > 1:
             pulls = {}
             for k in left:
@@ -88,7 +89,8 @@ def _mean(value: Floats, std: Floats) -> tuple[float, float]:
 
 def _one_side(fits: Sequence[BoxFit]) -> list[EdgeFit]:
     """Return an end of each fit, all on the side of best focus that is likelier and agrees better."""
-    best, least = [of.fit for of in fits], np.inf
+    best = [of.fit for of in fits]
+    least = np.inf
     for sign in (1, -1):
         ends = [max(of.ends, key=lambda end: sign * end.defocus()[0]) for of in fits]
         value = np.array([end.defocus()[0] for end in ends])
@@ -100,7 +102,8 @@ def _one_side(fits: Sequence[BoxFit]) -> list[EdgeFit]:
             end.objective - of.fit.objective for end, of in zip(ends, fits, strict=True)
         )
         if cost < least:
-            best, least = ends, cost
+            best = ends
+            least = cost
     return best
 
 
@@ -117,7 +120,8 @@ def _of_one_range(fits: Fits) -> Fits:
         start, _ = _mean(*np.array([end.defocus() for end in ends]).T)
         edges = [end.state.edge(k) for end in ends for k in range(len(end.state.edges))]
         fit = fit_edges(problem, problem.start([start], edges))
-        sides, first = near_focus(fit) or _both(fit, every), 0
+        sides = near_focus(fit) or _both(fit, every)
+        first = 0
         for place, of in boxes.items():
             found[place][name] = replace(of, ends=(fit,), sides=sides, first=first)
             first += len(of.task.regions)
@@ -127,7 +131,8 @@ def _of_one_range(fits: Fits) -> Fits:
 def _both(fit: EdgeFit, fits: Sequence[BoxFit]) -> tuple[Side, ...]:
     """Return the side of a fit of one depth, and the other side if each box by itself may be on it."""
     sign = np.sign(fit.defocus()[0])
-    lost, values = 0.0, []
+    lost = 0.0
+    values = []
     for of in fits:
         other = [end for end in of.ends if np.sign(end.defocus()[0]) != sign]
         same = [end for end in of.ends if np.sign(end.defocus()[0]) == sign]

@@ -212,7 +212,8 @@ class EdgeProblem:
         Thesis (5.49)-(5.69), (3.15), (3.19).
         """
         vector = state.vector
-        gradient, information = np.zeros(vector.size), np.zeros((vector.size, vector.size))
+        gradient = np.zeros(vector.size)
+        information = np.zeros((vector.size, vector.size))
         total = 0.0
         for k, region in enumerate(self.regions):
             of, places = self.slopes(state, k)

@@ -128,7 +128,9 @@ def _line(planes: Sequence[Plane]) -> tuple[float, float]:
     It runs through the centroids of the lines' derivatives, first with a Hamming window about the largest change of each
     line, then twice about the previous line.
     """
-    slope, offset, known = 0.0, 0.0, False
+    slope = 0.0
+    offset = 0.0
+    known = False
     for _ in range(3):
         line = (slope, offset) if known else None
         row, column = np.concatenate([_crossings(p, line) for p in planes], axis=1)
@@ -194,7 +196,8 @@ def _response(samples: Floats, width: int, across_mm: float, slant: float) -> Es
     half = width * OVERSAMPLING // 2  # as wide as the box, about the edge
     bins = np.floor(samples[0] * OVERSAMPLING).astype(int) + half
     inside = (bins >= 0) & (bins < 2 * half)
-    bins, samples = bins[inside], samples[:, inside]
+    bins = bins[inside]
+    samples = samples[:, inside]
     mean, variance = _binned(bins, samples[2], 2 * half)
     # the three-point derivative, zero at both ends, and the window about its peak
     derivative = np.zeros((2 * half, 2 * half))
@@ -241,7 +244,8 @@ def _repeating(
     row = row - row.mean()
     slopes = []
     for side in (distance < 0, distance > 0):
-        at, seen = row[far & side], value[far & side]
+        at = row[far & side]
+        seen = value[far & side]
         at = at - at.mean()
         slopes.append(at @ (seen - seen.mean()) / (at**2).sum())
     share = np.clip((mean[bins] - mean[0]) / (mean[-1] - mean[0]), 0, 1)
@@ -255,7 +259,8 @@ def _bin_means(
 ) -> tuple[Floats, NDArray[np.int_]]:
     """Return each bin's mean (count,), interpolated in empty bins, and its number of samples."""
     many = np.bincount(bins, minlength=count)
-    filled, total = many > 0, np.bincount(bins, values, minlength=count)
+    filled = many > 0
+    total = np.bincount(bins, values, minlength=count)
     means = total[filled] / many[filled]
     return np.interp(np.arange(count), np.flatnonzero(filled), means), many
 

@@ -212,12 +212,14 @@ def fit_depth(
 
 def _misfit(problem: EdgeProblem, edges: Sequence[Edge], defocus: float) -> float:
     """Return the sum of squared residuals at a defocus, in standard deviations, after a linear step of the edges."""
-    waves, total = np.concatenate([[defocus], problem.lens.mean]), 0.0
+    waves = np.concatenate([[defocus], problem.lens.mean])
+    total = 0.0
     for k, (region, edge) in enumerate(zip(problem.regions, edges, strict=True)):
         mean, by_edge, _ = mean_and_slopes(region, edge, problem.optics_of(k), waves)
         noise = problem.noise[region.frame]
         weight = 1 / np.sqrt(NormalCounts(mean, noise.gain, noise.read_variance).variance)
-        left, slopes = (region.counts - mean) * weight, (by_edge * weight).T
+        left = (region.counts - mean) * weight
+        slopes = (by_edge * weight).T
         change = np.linalg.lstsq(slopes, left, rcond=None)[0]
         total += float(np.sum((left - slopes @ change) ** 2))
     return total
@@ -228,7 +230,8 @@ def twin(fit: EdgeFit) -> EdgeFit:
 
     It is a fit if the prior's mean has no even modes, else only a start.
     """
-    signs, state = np.array(twin_signs(fit.problem.noll[1:]), float), fit.state
+    signs = np.array(twin_signs(fit.problem.noll[1:]), float)
+    state = fit.state
     flips = EdgeState(
         signs,
         np.ones_like(state.log_noise),
@@ -259,7 +262,8 @@ def fit_jointly(
     groups : for each depth its edge, whose colours are on one side of best focus
     log_noise : (frames, 2) to begin with
     """
-    lens, start = problem.lens, np.array(defoci, float)
+    lens = problem.lens
+    start = np.array(defoci, float)
     for group in dict.fromkeys(groups):
         depths = [depth for depth, of in enumerate(groups) if of == group]
         places = [k for k, region in enumerate(problem.regions) if region.depth in depths]
@@ -283,10 +287,12 @@ def fit_jointly(
 
 def halves(fit: EdgeFit, k: int = 0) -> tuple[EdgeFit, EdgeFit] | None:
     """Fit both halves of a region along its line with the modes held; None for too few pixels."""
-    region, edge = fit.problem.regions[k], fit.state.edge(k)
+    region = fit.problem.regions[k]
+    edge = fit.state.edge(k)
     _, along = region.across_and_along(edge)
     middle = float(np.median(along))
-    alone, modes = fit.problem.alone(k), fit.state.modes
+    alone = fit.problem.alone(k)
+    modes = fit.state.modes
     held = LensPrior(modes, TINY_VARIANCE * np.eye(modes.size))
     noise = fit.state.log_noise[region.frame : region.frame + 1]
     ends = []

@@ -79,7 +79,8 @@ def find_edges(
 
 def _pieces(line: Floats) -> list[tuple[Floats, Floats]]:
     """Return the pieces of a segment (x0, y0, x1, y1), each from its (x, y) to its (x, y)."""
-    start, end = line[:2], line[2:]
+    start = line[:2]
+    end = line[2:]
     length = float(np.hypot(*(end - start)))
     if length < SHORTEST:
         return []

@@ -227,7 +227,8 @@ def _fitted(
     with Workers(min(workers or default_workers(), max(len(tasks), 1))) as run:
         progress(0, len(tasks), "fitting edges")
         for done, (index, fit) in enumerate(run(fit_box, tasks)):
-            place, name = tasks[index].place, tasks[index].camera.channel
+            place = tasks[index].place
+            name = tasks[index].camera.channel
             if fit.iso is not None:
                 iso[place][name] = fit.iso
             if fit.ends:
@@ -259,7 +260,8 @@ def _measured(place: Place, fits: dict[str, BoxFit], law: FocusLaw | None) -> Me
 
 def _channel_edge(name: str, of: BoxFit) -> ChannelEdge:
     """Return an edge in one colour."""
-    edge, error = of.fit.state.edge(of.first), of.fit.edge_std(of.first)
+    edge = of.fit.state.edge(of.first)
+    error = of.fit.edge_std(of.first)
     bright = edge.towards_light
     near, far = error[2:] if edge.far >= edge.near else error[:1:-1]
     residuals = np.concatenate(
@@ -288,9 +290,11 @@ def _channel_edge(name: str, of: BoxFit) -> ChannelEdge:
 
 def _line(fit: EdgeFit, k: int) -> Floats:
     """Return the ends (2, 2) of a line within its region, (row, column)."""
-    region, edge = fit.problem.regions[k], fit.state.edge(k)
+    region = fit.problem.regions[k]
+    edge = fit.state.edge(k)
     across, along = region.across_and_along(edge)
-    sine, cosine = np.sin(edge.angle), np.cos(edge.angle)
+    sine = np.sin(edge.angle)
+    cosine = np.cos(edge.angle)
     foot = np.array(region.centre) + edge.distance_px * np.array([sine, cosine])
     near = along[np.abs(across) < NEAR_LINE_PX]
     ends = (near.min(), near.max()) if near.size else (0.0, 0.0)

@@ -82,7 +82,8 @@ class ChannelEdge:
 
     def as_json(self) -> dict[str, Any]:
         """Return an entry of "channels"."""
-        fit, iso = self.fitted, self.iso
+        fit = self.fitted
+        iso = self.iso
         at = np.linspace(0, fit.frequency_per_mm[-1], CURVE_POINTS)
         curve = {"per_mm": at} | {
             name: np.interp(at, fit.frequency_per_mm, values)

@@ -94,7 +94,8 @@ class Region:
     def across_and_along(self, edge: Edge) -> tuple[Floats, Floats]:
         """Return distances (n,) beyond the line along its normal, and along the line, pixels: r and t of thesis (5.1)."""
         x, y = self.offsets
-        cosine, sine = np.cos(edge.angle), np.sin(edge.angle)
+        cosine = np.cos(edge.angle)
+        sine = np.sin(edge.angle)
         return x * cosine + y * sine - edge.distance_px, y * cosine - x * sine
 
     def part(self, chosen: Bools) -> "Region":
@@ -118,7 +119,10 @@ def mean_and_slopes(
     pitch_um = optics.pitch_um
     reach_um = float(np.abs(across).max()) * pitch_um + pitch_um
     rows = edge_spread(optics, waves, edge.angle, reach_um).read(across * pitch_um)
-    step, line, by_waves, turning = rows[0], rows[1] * pitch_um, rows[2:-1], rows[-1]
+    step = rows[0]
+    line = rows[1] * pitch_um
+    by_waves = rows[2:-1]
+    turning = rows[-1]
     rise = edge.far - edge.near
     by_edge = np.stack([rise * (along * line + turning), -rise * line, 1 - step, step])
     return edge.near + rise * step, by_edge, rise * by_waves

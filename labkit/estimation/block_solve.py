@@ -147,7 +147,8 @@ class LeastSquares(Position):
     @cached_property
     def chi2(self) -> float:
         """Sum of squared misfits of data and priors."""
-        model, point = self.model, self.point
+        model = self.model
+        point = self.point
         away = (point.theta - model.centre) / model.prior_std
         own = point.own / model.local_std
         return self.data.chi2(self.rest) + float(np.sum(away**2) + np.sum(own**2))
@@ -174,7 +175,8 @@ class LeastSquares(Position):
     @cached_property
     def normal(self) -> Normal:
         """Normal equations, the priors' information included."""
-        model, turned = self.model, self.own_slopes.transpose(0, 2, 1)
+        model = self.model
+        turned = self.own_slopes.transpose(0, 2, 1)
         weighted = self.data.precision @ self.slopes
         return Normal(
             np.tensordot(self.slopes, weighted, ([0, 1], [0, 1]))
@@ -191,7 +193,8 @@ class LeastSquares(Position):
         return np.tensordot(self.slopes, weighted, ([0, 1], [0, 1])), own
 
     def step(self, damping: float) -> Step:
-        model, theta = self.model, self.point.theta
+        model = self.model
+        theta = self.point.theta
         gradient, own = self.pulls(self.rest)
         gradient -= (theta - model.centre) / model.prior_std**2
         own -= self.point.own / model.local_std**2

@@ -79,7 +79,8 @@ class Measured:
         """Add unmeasured numbers of further parts: channels with a known spectrum, for example, do not measure its width."""
         if parts == self.parts:
             return self
-        modes, size = len(self.noll), len(self.noll) + len(parts) + 2
+        modes = len(self.noll)
+        size = len(self.noll) + len(parts) + 2
         known = [modes + parts.index(label) for label in self.parts]
         at = [*range(modes), *known, size - 2, size - 1]
         values = np.zeros(size)

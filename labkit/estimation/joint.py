@@ -152,7 +152,8 @@ def _all_reached(
     legs = []
     shown = {channel: share(run, target) for channel, target in targets.items()}
     for k, place in zip(session.members, places, strict=True):
-        fit, row = session.fits[k], session.row(k)
+        fit = session.fits[k]
+        row = session.row(k)
         o = fit.observation
         values = lens.solved.predicted[row].copy()
         values[-1] -= lens.measured.values[row, -1] - place.measured.values[-1]
@@ -167,7 +168,8 @@ def _all_reached(
 
 def _lens_of(session: Estimate, reached: Sequence[Reached], like: LensFit) -> LensFit:
     """Estimate the lens from the members' new measurements, under the laws of an earlier lens."""
-    model, chosen = like.model, dict[int, Measured]()
+    model = like.model
+    chosen = dict[int, Measured]()
     for k, one in zip(session.members, reached, strict=True):
         chosen[session.row(k)] = one.measured
     every = [chosen.get(row) for row in range(len(model.readings))]

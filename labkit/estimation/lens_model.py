@@ -231,7 +231,8 @@ class LensModel:
         shrunk = np.exp(-(self._longer @ theta))[:, None, None]
 
         def chained(rows: Floats) -> Floats:
-            slopes, arguments = rows[:, : self.values].copy(), rows[:, self.values :]
+            slopes = rows[:, : self.values].copy()
+            arguments = rows[:, self.values :]
             slopes[:, self._law_rows] += np.einsum("lan,nac->nlc", by_argument, arguments)
             slopes[:, : len(self.noll)] *= shrunk
             return slopes
@@ -281,7 +282,8 @@ class LensModel:
     def _columns(self) -> Iterator[Column]:
         stated = self.stated
         far = max(reading.range_mm for reading in self.readings)
-        focal, f_number = stated.focal_length, stated.f_number
+        focal = stated.focal_length
+        f_number = stated.f_number
         yield Column(FOCAL_LENGTH, focal.std, focal.value)
         yield Column(F_NUMBER, f_number.std, f_number.value)
         yield Column(MAGNIFICATION, USUAL_LOG_MAGNIFICATION)
@@ -321,7 +323,9 @@ class LensModel:
         -------
         (n, values + 6) for parameters that are 0; derivatives (n, values + 6, columns), (n, values + 6, local columns)
         """
-        n, rows, true_range = len(self.readings), self.values + 6, self.values + 3
+        n = len(self.readings)
+        rows = self.values + 6
+        true_range = self.values + 3
         offset = np.zeros((n, rows))
         offset[:, true_range] = [reading.range_mm for reading in self.readings]
         by_channel = {channel: self._channel_map(channel) for channel in self.channels}

@@ -33,7 +33,8 @@ def shift(optimum: Optimum, with_missing: Optimum) -> tuple[Floats, float]:
 
 def confirmed(session: Estimate, index: int) -> bool:
     """Whether a fit is at the optimum that explains its frames once the missing parts are in the model."""
-    optimum, complete = session.fits[index].optimum, session.with_all_parts(index)
+    optimum = session.fits[index].optimum
+    complete = session.with_all_parts(index)
     if optimum is complete or not complete.verdict.accepted:
         return False
     modes, _ = shift(optimum, complete)
@@ -54,7 +55,8 @@ def with_model_error(session: Estimate) -> Estimate:
     for k in session.members:
         complete = session.with_all_parts(k).nearest_to(session.fits[k].optimum)
         chosen[session.row(k)] = complete.candidate.measured
-    model, members = lens.model, lens.measured.used
+    model = lens.model
+    members = lens.measured.used
     complete_lens = exact_lens(
         model.readings, chosen, members, model.stated, laws=model.laws
     )

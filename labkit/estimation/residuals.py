@@ -85,8 +85,11 @@ def judge(
             f"relative: {len(relative)} images (of the target's radiance) for {len(problem.frames)} frames"
         )
     gain, read_variance = np.exp(problem.noise.centre)
-    total, pixels, photons = 0.0, 0, 0.0
-    across, scatter = np.zeros(len(LAGS)), np.zeros(len(LAGS))
+    total = 0.0
+    pixels = 0
+    photons = 0.0
+    across = np.zeros(len(LAGS))
+    scatter = np.zeros(len(LAGS))
     calibrated = bool(np.all(problem.noise.precision > SETTINGS.unmeasured**-2))
     for frame, detector, u in zip(problem.frames, state.detectors(), relative, strict=True):
         mean, variance = predict(
@@ -152,7 +155,8 @@ def residual_spectrum(
     -------
     (BINS,) power averaged over rings of frequencies and over frames; 1 for noise alone
     """
-    highest, total = _highest(frames), np.zeros(RADIAL_BINS)
+    highest = _highest(frames)
+    total = np.zeros(RADIAL_BINS)
     for frame, image, detector in zip(frames, relative, detectors, strict=True):
         mean, variance = predict(image, frame, detector)
         rest = np.zeros(frame.used.shape)

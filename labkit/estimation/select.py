@@ -79,7 +79,8 @@ class Options:
         for k, one in enumerate(observed):
             best = max((c.log_likelihood for c in one.candidates), default=0.0)
             for choice in range(2 * len(one.candidates)):
-                candidate, at = one.candidate(choice), (k, choice)
+                candidate = one.candidate(choice)
+                at = (k, choice)
                 measured = candidate.measured.labelled(model.parts)
                 options.values[at] = measured.values
                 options.covariance[at] = measured.covariance
@@ -176,14 +177,18 @@ class _Choices:
         while True:
             wanted, promise = self._proposals(lens, choice, members)
             for places in self._batches(promise):
-                changed, inside = choice.copy(), members.copy()
+                changed = choice.copy()
+                inside = members.copy()
                 inside[places] = wanted[places] != OUT
                 changed[places] = np.where(inside[places], wanted[places], choice[places])
                 if not inside.any():
                     continue
                 trial, reached = self.fit(changed, inside, lens.solved.point)
                 if reached > value + 1e-6:
-                    choice, members, lens, value = changed, inside, trial, reached
+                    choice = changed
+                    members = inside
+                    lens = trial
+                    value = reached
                     break
             else:
                 break
@@ -316,10 +321,13 @@ def exact_lens(
     """
     known = [one for one in chosen if one is not None]
     parts = tuple(dict.fromkeys(label for one in known for label in one.parts))
-    n, size = len(readings), len(known[0].noll) + len(parts) + 2
-    values, tilts = np.zeros((n, size)), np.zeros((n, 2))
+    n = len(readings)
+    size = len(known[0].noll) + len(parts) + 2
+    values = np.zeros((n, size))
+    tilts = np.zeros((n, 2))
     covariance = np.broadcast_to(np.eye(size), (n, size, size)).copy()
-    calibration, surplus = np.zeros((n, size, size)), np.zeros((n, size, size))
+    calibration = np.zeros((n, size, size))
+    surplus = np.zeros((n, size, size))
     for k, one in enumerate(chosen):
         if one is not None:
             one = one.labelled(parts)
@@ -374,7 +382,8 @@ def _common_tilt(tilts: Floats) -> tuple[float, float] | None:
 
 def _started(choices: _Choices) -> tuple[Indices, Bools]:
     """Return a start: each observation's likeliest candidate with the sign that the ranges favour."""
-    fitted, groups = choices.options.fitted, choices.model.groups
+    fitted = choices.options.fitted
+    groups = choices.model.groups
     choice = np.where(fitted, np.argmax(choices.options.gain, axis=1), OUT)
     known = np.zeros(len(fitted), bool)
     every = [np.flatnonzero(fitted & (groups == one)) for one in np.unique(groups[fitted])]
@@ -399,14 +408,16 @@ def _signs(choices: _Choices, places: Indices, choice: Indices, known: Bools) ->
     positive: Indices = (both[:, 0, model.defocus] < 0).astype(np.intp)
     modes = choices.options.values[known, choice[known], : len(model.noll)]
     like = np.median(modes, axis=0) if known.any() else None
-    best, least = positive, np.inf
+    best = positive
+    least = np.inf
     for negative in range(len(places) + 1):
         turned = positive.copy()
         turned[order[:negative]] = 1 - positive[order[:negative]]
         values = both[np.arange(len(places)), turned]
         cost = _misfit(model, ranges, values, like)
         if cost < least - 1e-9:
-            best, least = turned, cost
+            best = turned
+            least = cost
     return best
 
 

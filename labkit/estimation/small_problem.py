@@ -93,7 +93,8 @@ class Retrieved:
 
     def offering(self) -> "Retrieved":
         """Make the best optimum that was not offered yet the candidate, if a candidate is due."""
-        best, least = self.optima[0], self.optima[0].misfit
+        best = self.optima[0]
+        least = self.optima[0].misfit
         fresh = next(
             (
                 o
@@ -147,7 +148,8 @@ class PhaseRetrieval:
         """Prepare the small problem at a state with approximate pose and light."""
         tilted = replace(optics, noll=(*TILTS, *optics.noll))
         band = min(1.0, 2 * optics.airy_um / optics.pitch_um)
-        pose, used = state.poses[0], [frame.used]
+        pose = state.poses[0]
+        used = [frame.used]
         model = ForwardModel.build(
             tilted,
             target,
@@ -299,7 +301,8 @@ def _triangle(columns: Callable[[slice], Floats], sigma: Floats) -> Floats:
 @lru_cache(maxsize=8)
 def _components(pupil: Pupil) -> tuple[Floats32, Floats]:
     """Return orthonormal components (components, size^2) of random PSFs less the perfect PSF, and the perfect PSF."""
-    rng, perfect = np.random.default_rng(0), pupil.psf(np.zeros(len(pupil.noll)))
+    rng = np.random.default_rng(0)
+    perfect = pupil.psf(np.zeros(len(pupil.noll)))
     scale = pupil.wavelength_um / pupil.reference_um
     draws = 3 * SETTINGS.psf_components
     drawn = np.empty((draws, perfect.size))

@@ -140,7 +140,8 @@ def retrieved(
     small = PhaseRetrieval.prepare(
         sketches.optics, sketches.target, sketches.frame, sketches.noise, state
     )
-    before, made = log.starts, Retrieved(tuple(given))
+    before = log.starts
+    made = Retrieved(tuple(given))
     rng = np.random.default_rng(sketches.seed)
     while not (log.late or log.settled):
         made = small.to_next_candidate(made, rng)
@@ -166,7 +167,9 @@ def at_random(sketches: Sketches, state: State, log: Log) -> Iterator[State]:
         problem, state, max_steps=SETTINGS.search_steps, tolerance=SETTINGS.settled_stds
     )
     log.met(best)
-    origin, made, log.returns = best.state, 0, 0
+    origin = best.state
+    made = 0
+    log.returns = 0
     rng = np.random.default_rng(sketches.seed)
     while not log.over:
         end = searched_from(problem, further_start(origin, made, sketches.optics, rng))
@@ -175,7 +178,8 @@ def at_random(sketches: Sketches, state: State, log: Log) -> Iterator[State]:
         log.met(end)
         log.progress(f"start {log.starts} of {log.most} at most")
         if end.objective > best.objective + SETTINGS.same_optimum:
-            best, log.returns = end, 0
+            best = end
+            log.returns = 0
             yield end.state
         elif end.objective > best.objective - SETTINGS.same_optimum:
             log.returns += 1

@@ -108,7 +108,9 @@ class PanelTarget:
         places = np.broadcast_arrays(
             real_array("y_mm", y_mm, None, "mm"), real_array("x_mm", x_mm, None, "mm")
         )
-        inside, index, share = np.ones(places[0].shape, bool), [], 1.0
+        inside = np.ones(places[0].shape, bool)
+        index = []
+        share = 1.0
         for axis, place in enumerate(places):
             many, pitch = self._along(axis)
             offset, width, _ = self._stripe(axis)
@@ -175,7 +177,8 @@ def _lit(at: Floats, width: float) -> Floats:
 def _lit_slope(at: Floats, width: float) -> Floats:
     """Return the derivative of `_lit` with respect to the width."""
     reach, step = low_pass()
-    kernel, edges = step.derivative(), [at + sign * width / 2 for sign in (1, -1)]
+    kernel = step.derivative()
+    edges = [at + sign * width / 2 for sign in (1, -1)]
     beyond = (
         sum(
             np.where(np.abs(edge) < reach, kernel(np.clip(edge, -reach, reach)), 0.0)

@@ -59,7 +59,8 @@ def panel_pitch_mm(plan: Plan) -> float | None:
 
     Raises PlanError if neither table states the pitch, or if the two contradict each other.
     """
-    pixels, panel = plan.target.pixels, plan_panel(plan)
+    pixels = plan.target.pixels
+    panel = plan_panel(plan)
     shown = None if panel is None else panel.pitch_mm
     if pixels is None:
         return None

@@ -48,7 +48,8 @@ def repeating(relative: Floats, use: Bools) -> Floats | None:
     relative: (rows, cols) light less its smooth part, in units of the latter; use: usable
     pixels, the others may hold anything
     """
-    pattern, found = np.zeros(relative.shape), False
+    pattern = np.zeros(relative.shape)
+    found = False
     for rows, own_rows in _tiles(relative.shape[0]):
         for cols, own_cols in _tiles(relative.shape[1]):
             waves = _waves(np.where(use, relative, 0.0)[rows, cols], use[rows, cols])
@@ -75,12 +76,10 @@ def _waves(relative: Floats, use: Bools) -> Floats | None:
     """Return the pattern of one tile."""
     knots = [_knots(n) for n in use.shape]
     weight = np.maximum(knots[0][0] @ use @ knots[1][0].T, 1e-3)
-    rest, pattern, strongest, frequencies = (
-        relative.copy(),
-        np.zeros(use.shape),
-        0.0,
-        list[Floats](),
-    )
+    rest = relative.copy()
+    pattern = np.zeros(use.shape)
+    strongest = 0.0
+    frequencies = list[Floats]()
     while len(frequencies) < MOST_PATTERN_WAVES:
         new = [
             f
@@ -112,7 +111,8 @@ def _waves(relative: Floats, use: Bools) -> Floats | None:
 
 def _knots(size: int) -> tuple[Floats, Floats]:
     """Return (knots, size) weights of the mean about each knot, and (size, knots) of linear interpolation."""
-    at, pixels = np.linspace(0, size - 1, int(np.ceil(size / KNOT_PX)) + 1), np.arange(size)
+    at = np.linspace(0, size - 1, int(np.ceil(size / KNOT_PX)) + 1)
+    pixels = np.arange(size)
     sigma = min(AMPLITUDE_SMOOTHING_PX, size / 8)
     near = np.exp(-(((pixels - at[:, None]) / sigma) ** 2) / 2)
     return near, np.maximum(1 - np.abs(pixels[:, None] - at) / (at[1] - at[0]), 0.0)

@@ -50,7 +50,8 @@ def panel_picture(target: Target, panel: PanelInfo) -> PanelPicture:
         )
     if target.surround:
         framed = np.full(panel.pixels, target.surround)
-        top, left = (panel.pixels[0] - rows) // 2, (panel.pixels[1] - cols) // 2
+        top = (panel.pixels[0] - rows) // 2
+        left = (panel.pixels[1] - cols) // 2
         framed[top : top + rows, left : left + cols] = radiance
         radiance = framed
     grey = np.rint(255 * radiance ** (1 / panel.gamma)).astype(np.uint8)

@@ -22,7 +22,8 @@ def as_shown(plan: Plan, target: Target, channel: str) -> Target:
     ------
     PlanError : the channel is not a colour, or see `panel_pixels`
     """
-    spec, pixels = plan.target.pixels, panel_pixels(plan, target)
+    spec = plan.target.pixels
+    pixels = panel_pixels(plan, target)
     if spec is None or pixels is None:
         return target
     order, _, way = spec.layout.partition("-")

@@ -76,7 +76,9 @@ def _headerless(path: Path, shape: tuple[int, int]) -> Numbers:
 
 def _bare(counts: Numbers, container: Container, sensor: Sensor) -> Photograph:
     """Return the photograph of bare numbers. Raises RawError for properties that the plan must state."""
-    pattern, black, white = sensor.cfa_pattern, sensor.black_level, sensor.white_level
+    pattern = sensor.cfa_pattern
+    black = sensor.black_level
+    white = sensor.white_level
     needed = {
         'cfa_pattern ("RGGB" or "mono")': pattern,
         "black_level (the count of no light)": black,

@@ -67,7 +67,8 @@ def exposure_problem(
 
 def _plane_problem(photograph: Photograph, kind: FrameKind, where: Cut) -> str | None:
     plane = np.ascontiguousarray(photograph.counts[where])
-    black, white = photograph.black_of(where), photograph.white
+    black = photograph.black_of(where)
+    white = photograph.white
     if kind in ("dark", "bias"):
         lit = float(np.median(plane)) - black > DARK_SHARE * (white - black)
         return f"has seen light: it is no {kind} frame" if lit else None
@@ -77,7 +78,8 @@ def _plane_problem(photograph: Photograph, kind: FrameKind, where: Cut) -> str |
     if saturated > max(SATURATED_LEAST * plane.size, SATURATED_SHARE * bright):
         percent = 100 * saturated / plane.size
         return f"is overexposed: {percent:.2g} % of its pixels, and most of its bright ones, are full ({white:g})"
-    signal, noise = float(smooth.max()) - black, pixel_noise(plane)
+    signal = float(smooth.max()) - black
+    noise = pixel_noise(plane)
     if signal < SIGNAL_SIGMAS * noise:
         noise = min(
             noise, aperiodic_noise(plane)

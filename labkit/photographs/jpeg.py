@@ -9,8 +9,12 @@ from labkit.apart import DAMAGED
 from labkit.errors import InputError
 
 JPEG = b"\xff\xd8"
-EXIF_MARK, ICC = b"Exif\0\0", b"ICC_PROFILE\0"
-APP1, APP2, START_OF_SCAN, END = 0xE1, 0xE2, 0xDA, 0xD9
+EXIF_MARK = b"Exif\0\0"
+ICC = b"ICC_PROFILE\0"
+APP1 = 0xE1
+APP2 = 0xE2
+START_OF_SCAN = 0xDA
+END = 0xD9
 FRAME_MARKERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 """Markers of segments that declare a picture's size: all of C0 to CF but tables of Huffman codes and the like."""
 
@@ -37,7 +41,9 @@ class JpegHeader:
 
 def read_header(content: bytes) -> JpegHeader:
     """Read the header of a JPEG. Raises InputError for a damaged file, or colours other than grey and RGB."""
-    frame, exif, profile = b"", b"", dict[int, bytes]()
+    frame = b""
+    exif = b""
+    profile = dict[int, bytes]()
     for marker, data in _segments(content):
         if marker == APP1 and data.startswith(EXIF_MARK):
             exif = exif or data[len(EXIF_MARK) :]
@@ -48,7 +54,8 @@ def read_header(content: bytes) -> JpegHeader:
             frame = frame or data
     if len(frame) < 6 or len(frame) < 6 + 3 * frame[5]:
         raise InputError(DAMAGED)
-    bits, colours = frame[0], frame[5]
+    bits = frame[0]
+    colours = frame[5]
     if bits != 8 or colours not in (1, 3):
         raise InputError(
             f"holds {colours} colours of {bits} bit: allowed in a JPEG are grey and RGB, of 8 bit"

@@ -94,7 +94,8 @@ class Photograph:
     @property
     def every_plane(self) -> tuple[Cut, ...]:
         """Slices of counts, one for each place of the filter array's cell."""
-        high, wide = len(self.pattern), len(self.pattern[0])
+        high = len(self.pattern)
+        wide = len(self.pattern[0])
         places = ((row, col) for row in range(high) for col in range(wide))
         return tuple(self._plane(*place) for place in places)
 
@@ -103,7 +104,8 @@ class Photograph:
         return tuple(self._plane(*place) for place in places_of(self.pattern, name))
 
     def _plane(self, row: int, col: int) -> Cut:
-        high, wide = len(self.pattern), len(self.pattern[0])
+        high = len(self.pattern)
+        wide = len(self.pattern[0])
         return slice(row, None, high), slice(col, None, wide)
 
     def channel_mask(self, name: str) -> Bools:

@@ -54,7 +54,8 @@ def processed_photograph(
     Raises RawError if the plan declares it raw, if nothing states its tone curve, or for an unusable profile.
     """
     in_colours = picture.numbers.ndim == 3
-    kind, jpeg = container.kind.upper(), container.kind == "jpeg"
+    kind = container.kind.upper()
+    jpeg = container.kind == "jpeg"
     if sensor.cfa_pattern not in (None, "RGB" if in_colours else "mono"):
         colours = "" if jpeg else " in colours" if in_colours else " without colours"
         raise RawError(
@@ -65,13 +66,16 @@ def processed_photograph(
         curve = _curve(path, container, picture, sensor)
     except InputError as error:
         raise RawError(str(error)) from error
-    numbers, black, white = picture.numbers, 0.0, FULL_COUNTS
+    numbers = picture.numbers
+    black = 0.0
+    white = FULL_COUNTS
     undone = "taken as linear, as the plan states"
     if curve is None:
         black = sensor.black_level or 0.0
         white = sensor.white_level or float(picture.white)
     else:
-        numbers, undone = curve.linear(numbers), f"tone curve undone by {curve.name}"
+        numbers = curve.linear(numbers)
+        undone = f"tone curve undone by {curve.name}"
     notes = [
         found("picture-processed", file_format=kind, bits=picture.bits, tone_curve=undone)
     ]

@@ -237,7 +237,8 @@ def spectrum_chart(results: Results) -> Figure:
         ]
         if not spectra:
             continue
-        frequency, ink = spectra[0].cycles_per_px, inks[channel]
+        frequency = spectra[0].cycles_per_px
+        ink = inks[channel]
         power = np.mean([s.power for s in spectra], axis=0)
         axes.plot(
             frequency,
@@ -273,12 +274,14 @@ PALE = 0.45  # of a curve with the pixel
 def mtf_chart(results: Results, curves: Curves, ink: Ink) -> Figure:
     """Along x and y, of the optics, and of optics and pixel; MTF50 in the legend."""
     figure, axes = chart(THIRD_IN, 3.0, left=0.5, right=0.1, top=0.62)
-    full, plane = full_nyquist_per_mm(results.plan.sensor), curves.focus.nyquist_per_mm
+    full = full_nyquist_per_mm(results.plan.sensor)
+    plane = curves.focus.nyquist_per_mm
     axes.axvline(full, color=SOFT_INK, lw=0.7, zorder=1)
     if plane < full:
         axes.axvline(plane, color=SOFT_INK, lw=0.7, ls=SPARSE, zorder=1)
     for direction, curve in curves.mtf.items():
-        x, line = curve.frequency_per_mm, LINE_OF[direction]
+        x = curve.frequency_per_mm
+        line = LINE_OF[direction]
         axes.plot(
             x, curve.value * curves.pixel, color=ink.colour, ls=line, lw=1.0, alpha=PALE
         )
@@ -315,7 +318,8 @@ def strehl_chart(curves: Sequence[Curves], inks: dict[str, Ink]) -> Figure:
     """Strehl ratio of each channel against range with bands of one standard error; its depth of focus as a bar."""
     figure, axes = chart(HALF_IN, THROUGH_CHART_IN)
     for k, each in enumerate(curves):
-        ink, strehl = inks[each.channel], each.strehl
+        ink = inks[each.channel]
+        strehl = each.strehl
         marks = _marks(k, len(curves), ink)
         banded(axes, each.places, strehl.value, strehl.std, ink.colour, **marks)
         if each.depth is not None:
@@ -335,7 +339,8 @@ def modulation_chart(curves: Sequence[Curves], inks: dict[str, Ink]) -> Figure:
     """MTF of each channel at one frequency along x and y against range: where both part, the lens is astigmatic."""
     figure, axes = chart(HALF_IN, THROUGH_CHART_IN)
     for k, each in enumerate(curves):
-        ink, marks = inks[each.channel], _marks(k, len(curves), inks[each.channel])
+        ink = inks[each.channel]
+        marks = _marks(k, len(curves), inks[each.channel])
         for line, curve in zip((SOLID, DASHED), each.modulation.values(), strict=True):
             banded(axes, each.places, curve.value, curve.std, ink.colour, line, **marks)
     _frame(axes, curves)

@@ -60,12 +60,10 @@ def contents(
     results: Results, curves: Sequence[Curves], photographs: Photographs, drawn: set[str]
 ) -> dict[str, Any]:
     """Return the values of the template. drawn: sections with figures."""
-    m, plan, focus, focused = (
-        results,
-        results.plan,
-        results.focus,
-        [c.focus for c in curves],
-    )
+    m = results
+    plan = results.plan
+    focus = results.focus
+    focused = [c.focus for c in curves]
     reference_nm = m.reference_wavelength_nm
     tables = _tables(m, curves, photographs)
     shown = set(SECTIONS) - OPTIONAL_SECTIONS | (drawn & OPTIONAL_SECTIONS)
@@ -98,7 +96,8 @@ def _tables(
     m: Results, curves: Sequence[Curves], photographs: Photographs
 ) -> dict[str, Table | None]:
     """Every table, by its name in the template."""
-    focused, reference_nm = [c.focus for c in curves], m.reference_wavelength_nm
+    focused = [c.focus for c in curves]
+    reference_nm = m.reference_wavelength_nm
     return {
         "focus_table": focus_table(focused, reference_nm),
         "depth_table": depth_table(curves, m),
@@ -210,7 +209,8 @@ CONTRADICTIONS = (
 
 
 def _provenance(m: Results, plan: Plan) -> list[tuple[str, str]]:
-    sensor, target = plan.sensor, plan.target
+    sensor = plan.sensor
+    target = plan.target
     conventions = {
         "corrected": "corrected: the sagitta is taken about the exit pupil",
         "thesis": "thesis: equation (4.40) as it is printed",
@@ -365,7 +365,8 @@ def _colour(results: Results, colour: Sequence[ColourShift]) -> Card:
 
 
 def _place(results: Results, photographs: Photographs) -> Card:
-    title, note = "Place in the field", "All numbers are of this one place."
+    title = "Place in the field"
+    note = "All numbers are of this one place."
     away = off_centre(results, photographs)
     if away is None:
         return Card(title, f"{note} The frame is not at hand.", big="not known")

@@ -155,7 +155,8 @@ class Curves:
 
     def placed(self, defocus: Uncertain, focus_std: float = 0.0) -> Uncertain:
         """A defocus as a place: its error, that of the cone, and that of best focus, where ranges are counted from."""
-        step, w = 1e-3, self.focus.fitted
+        step = 1e-3
+        w = self.focus.fitted
         slope = (self.place(defocus.value + step) - self.place(defocus.value - step)) / (
             2 * step
         )
@@ -188,10 +189,8 @@ def _of_channel(
     results: Results, focus: ChannelFocus, last_per_mm: float, last_um: float
 ) -> Curves:
     fitted = focus.fitted
-    frequency, radius = (
-        np.linspace(0, last_per_mm, DRAWN_CURVE_POINTS),
-        np.linspace(0, last_um, DRAWN_CURVE_POINTS),
-    )
+    frequency = np.linspace(0, last_per_mm, DRAWN_CURVE_POINTS)
+    radius = np.linspace(0, last_um, DRAWN_CURVE_POINTS)
     through = full_nyquist_per_mm(results.plan.sensor) / 2
     reach = REACH_WAVES * fitted.wavelength_um / fitted.reference_um
     place = _range_of(results, focus.channel)
@@ -217,13 +216,15 @@ def _of_channel(
 
 def _range_of(results: Results, channel: str) -> Place | None:
     """The stated range at which a channel has a defocus, nan where none has; None where best focus is not known."""
-    focus, plan = results.focus, results.plan
+    focus = results.focus
+    plan = results.plan
     if focus is None or channel not in focus.best_focus_mm:
         return None
     lens = results.thin_lens
     zero_mm = results.range_zero_mm
     best_mm = focus.best_focus_mm[channel].value + zero_mm
-    nearest_mm, furthest_mm = NEAREST_CURVE * lens.focal_length_mm, 1e3 * best_mm
+    nearest_mm = NEAREST_CURVE * lens.focal_length_mm
+    furthest_mm = 1e3 * best_mm
     if not best_mm > nearest_mm:
         return None
 

@@ -106,7 +106,8 @@ def _pupil(wavefront: Wavefront) -> Plate:
 
 
 def _mtfs(results: Results, curves: Sequence[Curves]) -> Plate:
-    inks, panels = channel_inks(results.channels), []
+    inks = channel_inks(results.channels)
+    panels = []
     for c in curves:
         halves = ", ".join(
             f"{estimated(c.focus.mtf50(d))} along {d}" for d in MTF_DIRECTIONS
@@ -115,10 +116,8 @@ def _mtfs(results: Results, curves: Sequence[Curves]) -> Plate:
         panels.append(
             drawing(f"mtf_{c.channel}", mtf_chart(results, c, inks[c.channel]), alt)
         )
-    full, plane = (
-        full_nyquist_per_mm(results.plan.sensor),
-        min(c.focus.nyquist_per_mm for c in curves),
-    )
+    full = full_nyquist_per_mm(results.plan.sensor)
+    plane = min(c.focus.nyquist_per_mm for c in curves)
     caption = (
         "MTF at best focus. Solid: along x, right on the sensor; dashed: along y, down; shaded: one standard error, where "
         "it is wider than the line. Dotted: the diffraction limit of this f-number and light. Pale: with the pixel's "
@@ -175,7 +174,8 @@ def _energy(results: Results, curves: Sequence[Curves]) -> Plate:
 def _focus(results: Results) -> Iterator[Plate]:
     if len({w.range_mm for w in results if w.range_mm is not None and w.defocus}) < 2:
         return
-    focus, plan = results.focus, results.plan
+    focus = results.focus
+    plan = results.plan
     lens = results.thin_lens
     zero_mm = results.range_zero_mm
 
@@ -347,10 +347,8 @@ def _place(results: Results, photographs: Photographs) -> Iterator[Plate]:
 
 
 def _psfs_photographed(results: Results) -> Plate:
-    inks, width = (
-        channel_inks(results.channels),
-        pictures.psf_half_width_um(results.wavefronts),
-    )
+    inks = channel_inks(results.channels)
+    width = pictures.psf_half_width_um(results.wavefronts)
     panels = []
     for range_mm in results.ranges_mm:
         fits = {w.channel: w.fitted for w in results.at_range(range_mm)}

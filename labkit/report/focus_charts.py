@@ -41,7 +41,9 @@ def defocus_chart(
     bounds = _range_bounds(results, focus, shortest_mm)
     axes.axhline(0, color=SOFT_INK, lw=0.7)
     for channel in results.channels:
-        fits, ink, label = _with_range(results, channel), inks[channel], channel
+        fits = _with_range(results, channel)
+        ink = inks[channel]
+        label = channel
         if focus and channel in focus.best_focus_mm:
             best = focus.best_focus_mm[channel]
             label += f"   {plus_minus(best.value, best.std)} mm"
@@ -66,7 +68,8 @@ def residual_chart(results: Results, focus: Focus, shortest_mm: float) -> Figure
     figure, axes = _focus_axes(results)
     bounds = _range_bounds(results, focus, shortest_mm)
     for k, channel in enumerate(results.channels):
-        fits, rest = _with_range(results, channel), focus.residuals(channel)
+        fits = _with_range(results, channel)
+        rest = focus.residuals(channel)
         if len(rest) != len(fits):
             continue
         dodge = (k - (len(results.channels) - 1) / 2) * 0.008 * (bounds[1] - bounds[0])
@@ -161,7 +164,9 @@ def energy_chart(curves: Sequence[Curves], inks: dict[str, Ink]) -> Figure:
     """Encircled energy of each channel at best focus with error bands, beside a perfect lens's."""
     figure, axes = chart(HALF_IN, 3.2, top=0.12)
     for each in curves:
-        ink, at, energy = inks[each.channel], each.focus.best.energy_radius(), each.energy
+        ink = inks[each.channel]
+        at = each.focus.best.energy_radius()
+        energy = each.energy
         banded(axes, energy.radius_um, energy.value, energy.std, ink.colour)
         axes.plot(
             energy.radius_um, each.perfect_energy, color=ink.colour, lw=0.8, ls=DOTTED

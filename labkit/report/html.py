@@ -58,7 +58,8 @@ def write_report(
 
     >>> labkit.write_report("night-3", pdf=True)
     """
-    total, steps = DRAWINGS + 2 + pdf, count()
+    total = DRAWINGS + 2 + pdf
+    steps = count()
 
     def begin(words: str) -> None:
         progress(next(steps), total, words)

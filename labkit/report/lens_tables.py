@@ -176,7 +176,8 @@ def _on_sensor(curve: Curves) -> str:
     """The depth as a way of the sensor, 8 N^2 times a path: twice the relative error of the cone."""
     if curve.depth is None:
         return NO_LIMIT
-    fitted, span = curve.focus.fitted, curve.depth.span
+    fitted = curve.focus.fitted
+    span = curve.depth.span
     factor = sensor_shift_um(fitted, 1.0)
     cone = 2 * fitted.f_number_relative_std * span.value
     return estimated(Uncertain(span.value, (span.std**2 + cone**2) ** 0.5), factor)
@@ -219,10 +220,13 @@ LENS_NAMES = {
 
 def lens_table(results: Results) -> Table | None:
     """Return measured values beside the plan's, channels in groups; None if the lens was not estimated."""
-    lens, focus, plan = results.lens, results.focus, results.plan
+    lens = results.lens
+    focus = results.focus
+    plan = results.plan
     if lens is None:
         return None
-    stated, zero = plan.lens, Uncertain(0.0, plan.fit.range_zero_std_mm)
+    stated = plan.lens
+    zero = Uncertain(0.0, plan.fit.range_zero_std_mm)
     cones = {channel: working_f_number(results, channel) for channel in results.channels}
     rows = (
         _row("Focal length", "mm", lens.focal_length, stated.stated_focal_length),
@@ -391,7 +395,8 @@ def _differences(here: Wavefront, other: Wavefront) -> list[Row]:
     for j in here.noll:
         if j == DEFOCUS or j not in other.noll:
             continue
-        one, two = here[j], other[j]
+        one = here[j]
+        two = other[j]
         if one.sign_open or two.sign_open:
             continue
         if abs(two.value - one.value) < ALIKE:

@@ -48,7 +48,8 @@ def write_pdf(report: Path, timeout_s: float = PRINT_S) -> Path:
     LabkitError : there is no browser that can print, or it printed nothing whole in time
     InputError : the folder cannot be written to
     """
-    browser, path = find_browser(), report.with_suffix(".pdf")
+    browser = find_browser()
+    path = report.with_suffix(".pdf")
     printed = path.with_name(f".{path.name}.{os.getpid()}.printed")
     try:
         with TemporaryDirectory(

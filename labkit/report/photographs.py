@@ -248,7 +248,8 @@ def place_table(results: Results, photographs: Photographs) -> Table:
         if not placed:
             continue
         corners = placed[0].corners_px[0]
-        centre, side = corners.mean(axis=0), corners - np.roll(corners, 1, axis=0)
+        centre = corners.mean(axis=0)
+        side = corners - np.roll(corners, 1, axis=0)
         top = corners[1] - corners[0]
         away = ["frame not at hand", UNKNOWN]
         if photographs.size_px is not None:

@@ -52,7 +52,8 @@ def estimated(number: Uncertain | None, factor: float = 1.0, *, least: int = 0) 
     """
     if number is None:
         return UNKNOWN
-    value, std = number.value * factor, number.std * abs(factor)
+    value = number.value * factor
+    std = number.std * abs(factor)
     known = isfinite(std) and std > 0
     text = plus_minus(
         abs(value) if number.sign_open else value,

@@ -109,7 +109,8 @@ def _jackknifed(places: Floats, scores: Floats) -> tuple[float, float]:
 
     B. Efron and C. Stein, Ann. Statist. 9, 586 (1981).
     """
-    total, count = scores.sum(axis=1), scores.shape[1]
+    total = scores.sum(axis=1)
+    count = scores.shape[1]
     without = places[np.argmin(total[:, None] - scores, axis=0)]
     if count < LEAST_BLIND_PARTS:
         return float(places[np.argmin(total)]), SPAN_WAVES

@@ -15,7 +15,9 @@ def colour_coupling(job: Job) -> Floats:
 
     A scene's colours share their edges: with this as coupling of `Roughness` the colours complete each other.
     """
-    photograph, images, noise = job.photographs[0], [], []
+    photograph = job.photographs[0]
+    images = []
+    noise = []
     for colour in job.colours:
         places = [job.plane(place) for place in colour.places]
         planes = [photograph.counts[place] for place in places]

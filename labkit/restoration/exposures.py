@@ -73,9 +73,12 @@ def read_shot(
     cells = _whole_cells(photograph, area, path)
     saturated = photograph.saturated
     if frame is None or calibration is None:
-        counts, used, light = photograph.light, ~saturated, np.ones(saturated.shape)
+        counts = photograph.light
+        used = ~saturated
+        light = np.ones(saturated.shape)
     else:
-        counts, light = np.zeros(saturated.shape), np.ones(saturated.shape)
+        counts = np.zeros(saturated.shape)
+        light = np.ones(saturated.shape)
         used = np.zeros(saturated.shape, bool)
         for name in names:
             data = channel_data(calibration, frame, photograph, name)
@@ -113,7 +116,8 @@ def _whole_cells(photograph: Photograph, area: Area | None, path: Path) -> Area:
 
 def refuse_other_camera(path: Path, frames: Sequence[Frame], plan: Plan) -> None:
     """Raise DataError for a file that states another camera or aperture than the session's photographs or plan."""
-    theirs, own = _exif(path), _exif(frames[0].path) if frames else Exif()
+    theirs = _exif(path)
+    own = _exif(frames[0].path) if frames else Exif()
     wrong = [
         f"{what} {stated}, the session's is {usual}"
         for what, stated, usual in (

@@ -192,7 +192,8 @@ class Job:
     def small(self, cells: int) -> Views:
         """Return the planes on a torus of a few cells, all counts used: errors of even noise are computed on it."""
         side = cells * self.period
-        one, none = np.ones((side, side)), np.zeros((side, side))
+        one = np.ones((side, side))
+        none = np.zeros((side, side))
         photographs = tuple(
             Exposure(none, one > 0, one, p.motion) for p in self.photographs
         )
@@ -217,7 +218,8 @@ def begun_at(motion: Floats, origin: Floats) -> Floats:
 
 def transfer_on(grid: SceneGrid, optics: Optics, waves: Floats) -> Complexes64:
     """Return the half plane of the transfer function of lens, pixel and camera. waves: (modes,) RMS at the reference."""
-    torus, side_um = grid.pixels, min(grid.pixels.fine) * grid.pixels.spacing_um
+    torus = grid.pixels
+    side_um = min(grid.pixels.fine) * grid.pixels.spacing_um
     cutoff = optics.rim.reach / (optics.airy_um * optics.shortest)
     finer = max(math.ceil(2 * torus.spacing_um * cutoff * (1 - 1e-9)), 1)
     spacing_um = torus.spacing_um / finer

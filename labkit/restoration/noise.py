@@ -20,7 +20,8 @@ DIFFERENCE_STRIDE, SQUARE_SIDE = (
     4,
 )  # counts between differences that share none; differences to a square's side
 QUIET = 0.1  # share of a brightness's squares that show noise alone
-BRIGHTNESSES, LEAST_SQUARES = 12, 100
+BRIGHTNESSES = 12
+LEAST_SQUARES = 100
 LEAST_VARIANCE = 1 / 12  # of rounding
 ROUNDS = 5
 

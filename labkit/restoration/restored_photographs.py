@@ -111,7 +111,8 @@ def restore_images(
     if not wanted.force:
         for path in images:
             refuse_other_camera(path, session.frames if session else (), results.plan)
-    range_mm, ranges = wanted.range_mm, results.ranges_mm
+    range_mm = wanted.range_mm
+    ranges = results.ranges_mm
     if range_mm is None and not wanted.fit_defocus:
         if len(ranges) > 1:
             known = ", ".join(f"{r:g}" for r in ranges if r is not None)
@@ -141,7 +142,8 @@ def restore_session(
         raise DataError(
             f"{session.folder}: no target frames at {range_mm} mm: there are some at {known}"
         )
-    plan, names = results.plan, wanted.channels or results.channels
+    plan = results.plan
+    names = wanted.channels or results.channels
     calibration = calibrate(session.frames, plan)
     shots = [read_shot(f.path, plan, wanted.crop, names, f, calibration) for f in frames]
     return _restore(shots, results, range_mm, out, wanted, say, progress)
@@ -157,7 +159,9 @@ def _restore(
     progress: Progress,
 ) -> Restoration:
     """Restore a scene and write it."""
-    began, notes, first = perf_counter(), list[str](), shots[0]
+    began = perf_counter()
+    notes = list[str]()
+    first = shots[0]
     names = _channels(first, results, wanted)
     job = _job(shots, _colours(first, results, names, range_mm, wanted), wanted)
     if (clipped := max(shot.clipped for shot in shots)) > 0:
@@ -177,12 +181,15 @@ def _restore(
         notes += defocus.doubts
     size = planned_tiles(job, wanted.tile_px, wanted.memory_gb, wanted.workers)
     say(str(size))
-    white, std = first.photograph.full_light, None
+    white = first.photograph.full_light
+    std = None
     if wanted.baseline is None:
         picture = restore_job(
             job, wanted.strength, size.tile_px, 2 * job.guard_px, size.workers, progress
         )
-        scene, std, more = picture.scene, picture.std, _about(picture, notes)
+        scene = picture.scene
+        std = picture.std
+        more = _about(picture, notes)
     else:
         scene = wanted.baseline(job)
         more = {"lambda": None, "method": wanted.method}
@@ -255,7 +262,8 @@ def _colours(
     wanted: Wanted,
 ) -> list[Colour]:
     """Return the colours with their lateral colour: displacements of the target's corners from those in the first."""
-    colours, corners = [], []
+    colours = []
+    corners = []
     for name in names:
         taken = name if name in results.channels else results.channels[0]
         wavefront = nearest(results, taken, range_mm)
@@ -284,7 +292,8 @@ def _colours(
 
 def _job(shots: Sequence[Shot], colours: Sequence[Colour], wanted: Wanted) -> Job:
     """Return the job, its photographs registered."""
-    exposures, period = [shot.exposure for shot in shots], shots[0].period
+    exposures = [shot.exposure for shot in shots]
+    period = shots[0].period
     first, *others = exposures
     if any(other.counts.shape != first.counts.shape for other in others):
         raise DataError("the photographs differ in size: restore them apart")

@@ -114,7 +114,8 @@ def scenes_of(
 ) -> Iterator[Scene]:
     """Yield the scene of the photographs; of a session the scene of each range. Raises DataError, SessionError."""
     if psf is not None:
-        results, session = Results.load(psf, name), _session(psf)
+        results = Results.load(psf, name)
+        session = _session(psf)
         folder = out or photographs[0].parent / f"{photographs[0].stem}-restored"
         yield partial(restore_images, photographs, results, session, folder, wanted)
         return
@@ -122,7 +123,8 @@ def scenes_of(
         raise DataError(
             "whose lens took them? Give --psf SESSION, or a session's folder alone"
         )
-    own, results = photographs[0], Results.load(photographs[0], name)
+    own = photographs[0]
+    results = Results.load(photographs[0], name)
     opened = Session.open(own)
     refuse_links(*links_in(own))
     ranges = results.ranges_mm if wanted.range_mm is None else (wanted.range_mm,)

@@ -18,7 +18,9 @@ from labkit.restoration.roughness import Norm, Roughness
 from labkit.restoration.views import Views
 from labkit.types import AnyComplexes, AnyFloats, Floats, Floats32
 
-MOST_STEPS, MOST_TURNS, MOST_HALVINGS = 12, 15, 7
+MOST_STEPS = 12
+MOST_TURNS = 15
+MOST_HALVINGS = 7
 PULL = 0.02  # of the data's curvature for an even scene
 OVER = 1.6  # relaxation: between 1.5 and 1.8 is usual
 SAME_NORM = 0.01  # relative: lambda need not be more exact
@@ -106,10 +108,12 @@ def restore(
     if start is None:
         begin = solver.first(levels)
     else:
-        begin, solver.multiplier = start.scene, start.multiplier
+        begin = start.scene
+        solver.multiplier = start.multiplier
     point = Point.of(views, penalty, np.maximum(begin, 0))
     for _ in range(MOST_STEPS if start is None else 1):
-        before, end = point, solver.step(point)
+        before = point
+        end = solver.step(point)
         for halvings in range(MOST_HALVINGS):
             scene = before.scene + np.float32(0.5**halvings) * (end - before.scene)
             point = Point.of(views, penalty, scene)
@@ -159,7 +163,8 @@ class Solver:
         slopes = self.views.slopes(point.means)
         data = point.means - slopes / np.where(weights > 0, weights, 1.0)
         _, beside = self.penalty.gradient(point.scene, point.spectra)
-        kept, multiplier = point.scene, self.multiplier
+        kept = point.scene
+        multiplier = self.multiplier
         pull = np.float32(self.pull)
         for _ in range(MOST_TURNS):
             called = self.grid.spectrum(pull * (kept - multiplier) - beside)
@@ -167,7 +172,8 @@ class Solver:
             self.planes = self.kriging.solve(data - self.views.means(free), self.planes)
             scene = self.grid.image(free + self.kriging.scene(self.planes))
             relaxed = np.float32(OVER) * scene + np.float32(1 - OVER) * kept
-            before, kept = kept, np.maximum(relaxed + multiplier, 0)
+            before = kept
+            kept = np.maximum(relaxed + multiplier, 0)
             multiplier = multiplier + relaxed - kept
             far = _rms(kept - point.scene)
             if max(_rms(kept - before), _rms(scene - kept)) < SETTLED * far:
@@ -178,16 +184,19 @@ class Solver:
 
 def guessed_norm(views: Views, penalty: Roughness) -> tuple[Floats, Norm]:
     """Return levels of the scene's components, and its norm by the blurred pictures without their noise."""
-    levels, squares = views.levels(), np.zeros(views.components)
+    levels = views.levels()
+    squares = np.zeros(views.components)
     if penalty.held is not None:
         return levels, penalty.held
     planes = np.bincount([view.component for view in views], minlength=views.components)
     for view, flat in zip(views, views.flat(levels), strict=True):
-        counts, mean = view.counts[view.used], flat[view.used]
+        counts = view.counts[view.used]
+        mean = flat[view.used]
         noise = float(np.mean(view.expected(mean).variance))
         apart = max(float(np.mean((counts - mean) ** 2)) - noise, 0.01 * noise)
         squares[view.component] += apart / planes[view.component]
-    sizes, pixels = np.sqrt(squares), float(penalty.seen.sum()) / views.grid.samples**2
+    sizes = np.sqrt(squares)
+    pixels = float(penalty.seen.sum()) / views.grid.samples**2
     return levels, Norm(pixels * float(sizes @ penalty.coupling @ sizes), levels, 0.0)
 
 

@@ -74,7 +74,8 @@ class Trial:
 
     def contrast_of_one(self) -> float:
         """Return variance over squared mean of scenes whose penalty has a stiffness of 1; it is inverse to the stiffness."""
-        share, solid = self.views.grid.share, self.soft.stiffness
+        share = self.views.grid.share
+        solid = self.soft.stiffness
         return max(
             float(np.sum(share * solid.between(c, c)) / max(level, 1.0) ** 2)
             for c, level in enumerate(self.levels)
@@ -125,13 +126,15 @@ def _discrepancy(trials: Sequence[Trial], unit: float) -> float:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if excess(middle) < 0 else (low, middle)
     start = decade = 0.5 * (low + high)
-    data, here = sum(trial.views.data for trial in trials), np.inf
+    data = sum(trial.views.data for trial in trials)
+    here = np.inf
     while decade < MOST:
         squares, left = sums(decade)
         there = float(np.log(squares) - 2 * np.log(max(left, 1e-6 * data)))
         if there >= here:
             return max(decade - SCORE_STRIDE, start)
-        decade, here = decade + SCORE_STRIDE, there
+        decade = decade + SCORE_STRIDE
+        here = there
     return decade
 
 

@@ -115,11 +115,13 @@ def restore_job(
     progress : called with the step under way
     """
     areas = list(tiles(job.shape, tile_px, overlap_px, job.period))
-    alone, samples = len(areas) == 1, job.samples
+    alone = len(areas) == 1
+    samples = job.samples
     total = USUAL_STEPS + 1 if alone else len(areas) + 1
     progress(0, total, "choosing how smooth")
     if isinstance(strength, Choice):
-        rng, by_hand = np.random.default_rng(TRACE_SEED), 0.0
+        rng = np.random.default_rng(TRACE_SEED)
+        by_hand = 0.0
         chosen = choose(parts_of(job), job.coupling, strength, rng)
     else:
         by_hand = strength
@@ -128,7 +130,8 @@ def restore_job(
     tasks = [Task(job.cut(area), lambda_, chosen.stiffness) for area, _ in areas]
     rows, columns = job.shape
     size = 3, len(job.colours), rows * samples, columns * samples
-    layers, done = np.zeros(size, np.float32), list[Part]()
+    layers = np.zeros(size, np.float32)
+    done = list[Part]()
     for index, part in _parts(tasks, workers, progress):
         done.append(part)
         area, weight = areas[index]
@@ -164,13 +167,16 @@ def _parts(
 
 def restore_tile(task: Task, step: Callable[[], None] = lambda: None) -> Part:
     """Restore a tile, on few samples first, then on all. step: called after each step of Newton's."""
-    job, count = task.job, len(task.job.colours)
+    job = task.job
+    count = len(task.job.colours)
     rows, columns = (side * job.samples for side in job.shape)
-    layers, means = np.zeros((3, count, rows, columns), np.float32), np.zeros(count)
+    layers = np.zeros((3, count, rows, columns), np.float32)
+    means = np.zeros(count)
     there = [c for c in range(count) if job.sees(c)]
     if not there:
         return Part(layers, 0.0, 0, Norm(0.0, means, 0.0), 0.0)
-    part, start = job.only(there), None
+    part = job.only(there)
+    start = None
     if job.samples > COARSE_SAMPLES:
         views, restored = _restored(part.of_samples(COARSE_SAMPLES), task, None, step)
         start = restored.finer(views.grid, job.samples)
@@ -269,7 +275,8 @@ def areas_of(job: Job, side: int) -> list[Area]:
 
 def guessed_square(job: Job) -> float:
     """Return the square of the scene's norm by its blurred picture without noise: counts squared, pixels."""
-    sizes, photograph = np.zeros(len(job.colours)), job.photographs[0]
+    sizes = np.zeros(len(job.colours))
+    photograph = job.photographs[0]
     for k, colour in enumerate(job.colours):
         planes = [job.plane(place) for place in colour.places]
         counts = np.concatenate([photograph.counts[p][photograph.used[p]] for p in planes])

@@ -101,7 +101,8 @@ class Views:
 
     def levels(self) -> Floats:
         """Return the mean of the scene in each colour, by all its planes: separate means would contradict each other."""
-        totals, planes = np.zeros(self.components), np.zeros(self.components)
+        totals = np.zeros(self.components)
+        planes = np.zeros(self.components)
         for view in self:
             mean = view.counts[view.used].mean() / view.light[view.used].mean()
             totals[view.component] += mean

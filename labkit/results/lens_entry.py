@@ -51,7 +51,8 @@ def _modes_entry(results: Results) -> dict[str, Any]:
 
 def _pupil_entry(results: Results, lens: Lens) -> dict[str, Any]:
     """Return the pupil that all wavefronts share: its blades, obstruction, uneven rim and cat's eye."""
-    rim, outer = results.wavefronts[0].rim, results.wavefronts[0].rim.outer
+    rim = results.wavefronts[0].rim
+    outer = results.wavefronts[0].rim.outer
     parts = {name: number.as_json() for name, number in results.model_parts.items()}
     diaphragm = next((cut for cut in rim.cuts if isinstance(cut, Diaphragm)), None)
     blades = None if diaphragm is None else diaphragm.blades

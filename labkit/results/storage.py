@@ -30,7 +30,9 @@ from labkit.results.schema import READABLE, Content
 if TYPE_CHECKING:
     from labkit.results.results import Results
 
-RESULTS_FILE, RESIDUALS, PSFS = "results.json", "residuals.npz", "psf.npz"
+RESULTS_FILE = "results.json"
+RESIDUALS = "residuals.npz"
+PSFS = "psf.npz"
 PSF_SAMPLES_PER_AIRY = 6.0  # of the shortest wavelength's lambda N: three times Nyquist, fine enough to interpolate
 PSF_HALF_WIDTH_AIRY = (
     32.0  # of the longest wavelength's lambda N: 0.6 % of the light lies beyond

@@ -186,7 +186,8 @@ def focus_rows(focus: Focus | None, lens: Lens | None = None) -> Rows:
             [f"best focus {channel}", str(best)]
             for channel, best in focus.best_focus_mm.items()
         ]
-        pupils, note = focus.pupil_magnification, "" if focus.identifiable else note
+        pupils = focus.pupil_magnification
+        note = "" if focus.identifiable else note
     if pupils is not None:
         rows.append(["pupil magnification", f"{pupils}{note}"])
     if lens is not None:

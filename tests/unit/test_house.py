@@ -20,6 +20,8 @@ MEAN_CHARACTERS, MEAN_TOKENS = 42.0, 9.0
 FRAGMENTS = ("Of", "As", "By", "That", "Those", "What", "Its")
 PRONOUNS = {"it", "that", "those", "one", "what"}
 MOST_PRONOUNS = 0.027
+MOST_PAIRS = 0.008
+"""Assignments of several values at once, for each line of code: peers have one to six in a thousand lines."""
 NO_CODE = {
     tokenize.COMMENT,
     tokenize.NL,
@@ -104,6 +106,19 @@ def test_code_is_not_squeezed(folder: str) -> None:
     every = list(chain.from_iterable(code_lines(path) for path in files(folder)))
     assert mean(len(line[0].rstrip()) for line in every) <= MEAN_CHARACTERS
     assert mean(len(line) for line in every) <= MEAN_TOKENS
+
+
+def test_a_line_assigns_one_value() -> None:
+    """Values that are a tuple by nature, such as rows and columns, are the exception."""
+    together = sum(
+        isinstance(node, ast.Assign)
+        and isinstance(node.targets[0], ast.Tuple)
+        and isinstance(node.value, ast.Tuple)
+        for path in PRODUCT
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+    )
+    every = sum(1 for path in PRODUCT for _ in code_lines(path))
+    assert together / every <= MOST_PAIRS
 
 
 @pytest.mark.parametrize("folder", EVERYWHERE)
