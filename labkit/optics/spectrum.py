@@ -82,7 +82,7 @@ class Spectrum:
 
     @property
     def variance(self) -> float:
-        """Of the wavelengths, relative to the squared nominal one."""
+        """Variance of the wavelengths, relative to the square of the nominal wavelength."""
         mean = self.mean
         return sum(share * (node - mean) ** 2 for share, node in self.shares)
 

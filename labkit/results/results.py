@@ -148,8 +148,11 @@ class Results:
         return longitudinal_colour(self.focus, self.lens)
 
     def focus_slopes(self) -> dict[str, float]:
-        """By channel, waves RMS of Noll 4 per nm of wavelength, as the channels' longitudinal colour lets expect; empty without
-        two channels."""
+        """Slopes of defocus by wavelength, waves RMS of Noll 4 per nm, for each channel; empty without two
+        channels.
+
+        They follow from the channels' longitudinal colour.
+        """
         return focus_slopes(self.wavefronts)
 
     def _of(self, channel: str) -> tuple[Wavefront, ...]:

@@ -69,7 +69,7 @@ class SpectrumWidth(Part):
 
     @property
     def broadest(self) -> Spectrum:
-        """Of all spectra within the bounds."""
+        """The broadest of all spectra within the bounds."""
         return self._with(self._bounds[1])
 
     def light_slopes(self) -> tuple[Mapping[float, float], ...]:
