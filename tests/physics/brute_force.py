@@ -88,19 +88,14 @@ def brute_force_mean(
     """
     spacing_um, guard = 4.8 / many, 40
     step = 1 / (many * finer)
-    rows = np.asarray(
-        -guard - 0.5 + (np.arange((FRAME[0] + 2 * guard) * many * finer) + 0.5) * step,
-        float,
-    )
-    cols = np.asarray(
-        -guard - 0.5 + (np.arange((FRAME[1] + 2 * guard) * many * finer) + 0.5) * step,
-        float,
-    )
+    rows, cols = (-0.5 + (np.arange(n * many * finer) + 0.5) * step for n in FRAME)
     seen = points_seen(rows[:, None], cols[None])
     if light is not None:
         seen *= light(rows[:, None], cols[None])
-    shape = (FRAME[0] + 2 * guard) * many, (FRAME[1] + 2 * guard) * many
-    scene = seen.reshape(shape[0], finer, shape[1], finer).mean(axis=(1, 3))
+    shape = FRAME[0] * many, FRAME[1] * many
+    inside = seen.reshape(shape[0], finer, shape[1], finer).mean(axis=(1, 3))
+    # the target ends within the frame, and nothing shines around it
+    scene = np.pad(inside, guard * many)
     psf = direct_psf(spacing_um, 1600)
     blurred = fftconvolve(scene, psf[1:, 1:], mode="same")  # odd, its centre in the middle
     # the active square, 4.5 of 4.8 um: whole samples and a share of the next on either side
