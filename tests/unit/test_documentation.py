@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -110,17 +109,3 @@ def test_the_search_wants_every_word(tmp_path: Path) -> None:
     assert index.search("rails") == {"one", "two"}
     assert index.search("the rail's home") == {"one"}
     assert index.search("photographs of a rail") == {"two"}
-
-
-def test_troubleshooting_shows_no_end_of_a_message_by_itself() -> None:
-    pages = (ROOT / "docs" / "troubleshooting").glob("*.md")
-    terms = [
-        line
-        for page in pages
-        for line, following in pairwise(page.read_text(encoding="utf-8").splitlines())
-        if following.startswith(": ") and line.startswith("`")
-    ]
-    assert len(terms) > 200
-    shown = [message for line in terms for message in re.findall("`([^`]+)`", line)]
-    ends = (";", ",", "(", "…: ")
-    assert [message for message in shown if message.startswith(ends)] == []
