@@ -70,19 +70,23 @@ def psf(wavefront: FittedWavefront, spacing_um: float, size: int | None = None) 
         slower = replace(wavefront, f_number=wavefront.f_number * (1 + F_NUMBER_STEP))
         by_f_number = (psf_value(slower, spacing_um, len(value)) - value) / F_NUMBER_STEP
         std = np.hypot(std, wavefront.f_number_relative_std * by_f_number)
-    if (broad := wavefront.in_broadest_light) is not None:
-        std = error_with_bias(std, _by_light(wavefront, broad, spacing_um, value))
+    changes = [
+        _by_light(wavefront, light, spacing_um, value)
+        for light in wavefront.in_possible_lights
+    ]
+    if changes:
+        std = error_with_bias(std, np.max(changes, axis=0))
     return Psf(spacing_um, value, std)
 
 
 def _by_light(
-    wavefront: FittedWavefront, broad: FittedWavefront, spacing_um: float, value: Floats
+    wavefront: FittedWavefront, light: FittedWavefront, spacing_um: float, value: Floats
 ) -> Floats:
-    """Return the change (n, n) of a PSF by the light's width, the RMS over squares of an Airy disc's diameter.
+    """Return the change (n, n) of a PSF in other light, the RMS over squares of an Airy disc's diameter.
 
     The spectrum's form is unknown too, and moves the rings between which the change is 0.
     """
-    change = psf_value(broad, spacing_um, len(value)) - value
+    change = psf_value(light, spacing_um, len(value)) - value
     across = 2.44 * wavefront.wavelength_um * wavefront.f_number / spacing_um
     return np.asarray(np.sqrt(uniform_filter(change**2, max(1, round(across)))))
 
@@ -102,7 +106,7 @@ def psf_value(
 
 def psf_difference(wavefront: FittedWavefront, other: FittedWavefront) -> float:
     """Return the summed absolute difference of two PSFs of unit sum at the same points of the sensor."""
-    spacing_um = wavefront.wavelength_um * wavefront.f_number / 2
+    spacing_um = min(w.wavelength_um * w.f_number for w in (wavefront, other)) / 2
     size = 4 * int(HALF_WIDTH_AIRY) + 1
     return float(
         np.abs(

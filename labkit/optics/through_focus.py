@@ -142,14 +142,19 @@ def _modulus(
 def depth_of_focus(wavefront: FittedWavefront, curve: ThroughFocus) -> FocusDepth | None:
     """Return the depth of focus of a curve of Strehl ratios; None if the curve ends within the depth."""
     depth = _depth(wavefront, curve)
-    broad = wavefront.in_broadest_light
-    if depth is None or broad is None:
-        return depth
-    there = _depth(broad, strehl_through_focus(broad, curve.defocus_waves))
-    if there is None:
-        return depth
-    names = [f.name for f in fields(depth)]
-    return FocusDepth(*(widened(getattr(depth, n), getattr(there, n)) for n in names))
+    if depth is None:
+        return None
+    others = [
+        there
+        for light in wavefront.in_possible_lights
+        if (there := _depth(light, strehl_through_focus(light, curve.defocus_waves)))
+    ]
+    return FocusDepth(
+        *(
+            widened(getattr(depth, f.name), *(getattr(there, f.name) for there in others))
+            for f in fields(depth)
+        )
+    )
 
 
 def _depth(wavefront: FittedWavefront, curve: ThroughFocus) -> FocusDepth | None:

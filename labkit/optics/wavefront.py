@@ -130,9 +130,17 @@ class FittedWavefront:
         return replace(self, spectrum=spectrum, widest_nm=0.0)
 
     @property
-    def in_broadest_light(self) -> FittedWavefront | None:
-        """The wavefront in the broadest light that the photographs allow; None if the light is known."""
-        return self.in_light(self.widest_nm) if self.widest_nm > 0 else None
+    def in_possible_lights(self) -> tuple[FittedWavefront, ...]:
+        """The wavefront in the broadest light that the photographs allow, and in light of a width midway to it; none if the light
+        is known.
+
+        A number may change more in the narrower light: where rings that broad light washes out meet its wider rim.
+        """
+        if not self.widest_nm > 0:
+            return ()
+        own_nm = self.wavelength_nm * max(self.spectrum.variance, 0.0) ** 0.5
+        midway_nm = (own_nm + self.widest_nm) / 2
+        return self.in_light(midway_nm), self.in_light(self.widest_nm)
 
     @property
     def radians_per_wave(self) -> float:

@@ -25,6 +25,7 @@ from labkit.optics.metrics import (
     opd_map,
     peak_to_valley,
     psf,
+    psf_difference,
     rms,
     trefoil,
 )
@@ -377,6 +378,13 @@ def test_mtf50_with_the_pixel_is_where_the_product_is_one_half() -> None:
     ]
     slopes = (np.array(moved) - half.value) / 1e-5
     assert half.std == pytest.approx(1e-3 * float(np.linalg.norm(slopes)), rel=1e-2)
+
+
+def test_images_of_very_different_cones_are_compared() -> None:
+    wide = replace(PERFECT, f_number=1.0)
+    there = psf_difference(PERFECT, wide)
+    assert 1 < there < 2  # most of the light of f/1 is within the core of f/2.8
+    assert there == psf_difference(wide, PERFECT)
 
 
 def test_near_a_perfect_lens_errors_are_of_second_order_and_hold_the_bias(
