@@ -133,6 +133,7 @@ class LensFit:
             followed @ normal.covariance @ followed.T
             + own @ normal.own_covariance[group] @ own.T
         )
+        noise += self._repeated(followed, own, group)
         noise *= self.birge_ratio**2 * (1 - sum(chance for chance, _ in self.others))
         for chance, lens in self.others:
             there = _sized(combinations, len(lens.theta))
@@ -236,6 +237,30 @@ class LensFit:
         change[-2] = 1.0
         return change * self.value(WORKING_F_NUMBER)
 
+    def _repeated(self, followed: Floats, own: Floats, group: int) -> Floats:
+        """Return the covariance (m, m) that model errors add to m combinations because every fit has the same error.
+
+        Residuals that are not noise have a cause, which is in every photograph: an average over observations keeps its
+        error. Least squares takes the errors of fits as independent, and an average as better by their number.
+
+        Parameters
+        ----------
+        followed : (m, columns) derivatives by the common columns, own columns eliminated
+        own : (m, local columns) derivatives by the own columns of a group
+        group : the group
+        """
+        used = np.flatnonzero(self.measured.used)
+        roots = _roots(self.measured.model[used])
+        if not roots.any():
+            return np.zeros((len(followed), len(followed)))
+        normal, slopes = self.solved.normal, self._eliminated_slopes
+        pulls = followed @ normal.covariance @ slopes.transpose(0, 2, 1)
+        inside = self.model.groups == group
+        slopes = self.solved.own_slopes[inside]
+        pulls[inside] += own @ normal.own_covariance[group] @ slopes.transpose(0, 2, 1)
+        moved = np.sum((pulls @ self.solved.data.precision)[used] @ roots, axis=0)
+        return np.asarray((1 - 1 / len(used)) * moved @ moved.T)
+
     def contributions(self, gradient: Floats) -> dict[str, float]:
         """Return an error budget of a combination (columns,): standard errors by photons, calibration, geometry, model."""
         normal, model, measured = self.solved.normal, self.model, self.measured
@@ -279,6 +304,13 @@ class LensFit:
         return -0.5 * (
             self.chi2 + log_noise + self.solved.normal.log_determinant()
         ) - float(prior)
+
+
+def _roots(covariance: Floats) -> Floats:
+    """Return the symmetric square roots of covariances (n, values, values)."""
+    values, vectors = np.linalg.eigh(covariance)
+    roots = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors
+    return np.asarray(roots @ vectors.transpose(0, 2, 1))
 
 
 def _sized(rows: Floats, columns: int) -> Floats:
