@@ -29,6 +29,7 @@ from labkit.analysis.session_results import (
     session_findings,
 )
 from labkit.analysis.steps import Steps
+from labkit.analysis.turned_signs import turned_lenses
 from labkit.errors import DataError, FitError, InputError, SessionError
 from labkit.estimation.candidate import mostly_unexplained
 from labkit.estimation.estimate import Estimate
@@ -292,7 +293,7 @@ def _results(
         *session_findings(fits, patience_s),
         *_doubts(wavefronts),
     ]
-    focus = None if lens is None else as_focus(lens)
+    focus = None if lens is None else as_focus(lens, turned_lenses(fits))
     wanted = wanted and any(w.range_mm is not None and w.defocus for w in wavefronts)
     return Results(
         plan=plan,

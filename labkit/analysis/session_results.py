@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -133,8 +133,11 @@ def _light_nm(w: Wavefront, lens: LensFit) -> float:
     return w.wavelength_nm
 
 
-def as_focus(lens: LensFit) -> Focus | None:
-    """Return best focus of all channels with two stations or more; None without such a channel."""
+def as_focus(lens: LensFit, turned: Sequence[LensFit] = ()) -> Focus | None:
+    """Return best focus of all channels with two stations or more; None without such a channel.
+
+    turned: estimates with the other sign where signs are open; errors include the largest difference from them.
+    """
     model, stations = lens.model, _stations(lens)
     channels = [channel for channel in model.channels if len(stations.get(channel, ())) > 1]
     if not channels:
@@ -147,6 +150,12 @@ def as_focus(lens: LensFit) -> Focus | None:
         ]
     )
     covariance = lens.errors_of(combinations)
+    if turned:
+        moved = [combinations @ (other.theta - lens.theta) for other in turned]
+        farthest = np.argmax(np.abs(moved), axis=0)
+        covariance = covariance_with_bias(
+            covariance, np.diagonal(np.array(moved)[farthest])
+        )
     values, stds = (combinations @ lens.theta).tolist(), np.sqrt(np.diag(covariance))
     best = {
         channel: Uncertain(value, std, "mm")
