@@ -57,6 +57,10 @@ MEANINGS = {
     ),
     "wavefronts[].twin_waves_rms": "Coefficients of the twin; null where the sign is determined.",
     "wavefronts[].std": "Standard error of each coefficient.",
+    "wavefronts[].errors_known": (
+        "Whether `std` and `covariance` hold: not where the optimum is doubtful, or where the model is incomplete and no other "
+        "range confirms the numbers. The report prints no errors there."
+    ),
     "wavefronts[].covariance": "Covariance of the coefficients.",
     "wavefronts[].pose": "Perspective of the first photograph, eight numbers.",
     "wavefronts[].poses": "Perspective of each photograph.",

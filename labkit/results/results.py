@@ -236,8 +236,9 @@ class Results:
     def to_dataframe(self) -> pandas.DataFrame:
         """A pandas table with a row for each coefficient. Needs the extra "pandas".
 
-        Columns: range_mm, channel, noll, waves, std, sign_open, twin_waves, optimum, model. Where sign_open is true, the
-        coefficient may as well be twin_waves, together with those of all other modes of the wavefront.
+        Columns: range_mm, channel, noll, waves, std, errors_known, sign_open, twin_waves, optimum, model. Where sign_open is
+        true, the coefficient may as well be twin_waves, together with those of all other modes of the wavefront. Where
+        errors_known is false, std does not hold: see optimum and model.
         """
         import pandas
 
@@ -248,6 +249,7 @@ class Results:
                 "noll": noll,
                 "waves": w[noll].value,
                 "std": w[noll].std,
+                "errors_known": verdicts.confirmed(w, self.wavefronts),
                 "sign_open": w[noll].sign_open,
                 "twin_waves": w.twin[noll].value if w.sign_open else nan,
                 "optimum": verdicts.optimum_word(w.test),

@@ -65,6 +65,7 @@ from labkit.results.model import (
     ResidualSpectrum,
     Wavefront,
 )
+from labkit.results.verdicts import confirmed
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
@@ -252,6 +253,7 @@ class WavefrontEntry(Entry):
     sign_open: bool = False
     twin_waves: Any = Field(default=None, alias="twin_waves_rms")
     std: Annotated[Floats, array(tuple[Std, ...])]
+    errors_known: bool = True
     covariance: Matrix | None = None
     pose: Annotated[Floats, array(Pose)] | None = None
     poses: (
@@ -283,8 +285,8 @@ class WavefrontEntry(Entry):
         return self.key
 
     @classmethod
-    def of_wavefront(cls, w: Wavefront) -> WavefrontEntry:
-        """Return the entry of a wavefront."""
+    def of_wavefront(cls, w: Wavefront, errors_known: bool) -> WavefrontEntry:
+        """Return the entry of a wavefront, and whether its errors are known."""
         return cls.of(
             w,
             spectrum=None
@@ -292,6 +294,7 @@ class WavefrontEntry(Entry):
             else tuple(map(tuple, w.spectrum.lines(w.wavelength_nm))),
             rim=None if w.rim.is_round else w.rim,
             twin_waves=listed(w.twin.waves) if w.sign_open else None,
+            errors_known=errors_known,
             pose=w.poses[0],
             test=_shortened(w.test),
             **_verdicts(w),
@@ -461,7 +464,10 @@ class Content(Entry):
             schema_=SCHEMA,
             plan=plan.model_dump(mode="json", exclude_none=True),
             convention=plan.fit.convention,
-            wavefronts=tuple(map(WavefrontEntry.of_wavefront, results.wavefronts)),
+            wavefronts=tuple(
+                WavefrontEntry.of_wavefront(w, confirmed(w, results.wavefronts))
+                for w in results.wavefronts
+            ),
             lens=None if lens is None else LensEntry.of_results(results, lens),
             light={name: LightEntry.of(of) for name, of in results.named_lights.items()},
             focus_waves_per_nm=results.focus_slopes(),

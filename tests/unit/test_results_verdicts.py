@@ -48,6 +48,19 @@ def test_the_headline_says_which_numbers_hold() -> None:
     assert said(REJECTED, REJECTED).startswith("do not use all 2 fits")
 
 
+def test_the_file_and_the_table_of_coefficients_mark_errors_that_are_not_known() -> None:
+    pytest.importorskip("pandas")
+    wavefronts = (a_wavefront(test=INCOMPLETE), a_wavefront(channel="G", test=ACCEPTED))
+    results = some_results(wavefronts=wavefronts, focus=None)
+    entries = results.as_json()["wavefronts"]
+    assert [entry["errors_known"] for entry in entries] == [False, True]
+    table = results.to_dataframe()
+    assert table.groupby("channel")["errors_known"].all().to_dict() == {
+        "G": True,
+        "R": False,
+    }
+
+
 @pytest.mark.parametrize(
     ("tests", "known"),
     [

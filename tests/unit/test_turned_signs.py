@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 from labkit.analysis.session_results import as_focus
@@ -21,9 +20,7 @@ def test_best_focus_of_open_signs_is_within_its_errors_whichever_sign_is_chosen(
     every = members((30_000.0, 30_001.0), 28_000.0, 70.0, 2.8, modes={6: 0.02, 7: 0.03})
     found = select([turned(one) if twins else one for one in every], PLAN)
     assert found.open_signs.all()
-    others = list(
-        with_turned(found.lens, range(len(every)), measured_of(every[0]).signs)
-    )
+    others = list(with_turned(found.lens, range(len(every)), measured_of(every[0]).signs))
     focus = as_focus(found.lens, others)
     assert focus is not None
     for best in focus.best_focus_mm.values():
