@@ -133,7 +133,7 @@ def test_rows_that_are_wrong_in_one_way_are_named_once(folder: Folder) -> None:
     csv = "file,kind,range_mm\n" + "\n".join(rows)
     said = folder.refusal(csv=csv)
     kinds = "allowed is target, flat, dark, bias (and 39 more lines like it)"
-    ranges = "allowed is nothing, or a number above the focal length, 70 mm (and 30 more lines like it)"
+    ranges = "allowed is nothing, or a number of mm, not of m, above the focal length, 70 mm (and 30 more lines like it)"
     assert said == (
         f"{folder.path / 'frames.csv'}: line 2: kind 'tgt0': {kinds}; line 42: range_mm '0': {ranges}"
     )
@@ -186,7 +186,7 @@ def test_csv_and_plan_of_a_spreadsheet_with_byte_order_marks_are_read(
         ),
         (
             'target.dng,target,"3000,5"',
-            "range_mm '3000,5': allowed is nothing, or a number above the focal length",
+            "range_mm '3000,5': allowed is nothing, or a number of mm, not of m, above the focal length",
         ),
         ('target.dng,target,"3000,5"', "70 mm; write 3000.5"),
     ],
@@ -392,3 +392,14 @@ def test_a_large_frame_is_judged_quickly(tmp_path: Path, write_dng: WriteDng) ->
     # 5 megapixels; a raw of 45 may take ten times this
     assert path.stat().st_size > 10e6
     assert time.process_time() - start < 5
+
+
+def test_ranges_in_metres_are_told(folder: Folder) -> None:
+    said = folder.refusal(csv="file,kind,range_mm\ntarget.dng,target,3.2\n")
+    assert said.endswith("70 mm; if metres were meant, write 3200")
+
+
+def test_a_plan_in_the_place_of_the_list_is_told(folder: Folder) -> None:
+    plan, listed = folder.path / "plan.toml", folder.path / "frames.csv"
+    with pytest.raises(InputError, match="give the list first"):
+        import_frames(plan, listed, folder.path / "session")
