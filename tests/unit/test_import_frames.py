@@ -396,7 +396,7 @@ def test_a_large_frame_is_judged_quickly(tmp_path: Path, write_dng: WriteDng) ->
 
 def test_ranges_in_metres_are_told(folder: Folder) -> None:
     said = folder.refusal(csv="file,kind,range_mm\ntarget.dng,target,3.2\n")
-    assert said.endswith("70 mm; if metres were meant, write 3200")
+    assert "a number of mm, not of m, above the focal length, 70 mm" in said
 
 
 def test_a_plan_in_the_place_of_the_list_is_told(folder: Folder) -> None:
