@@ -91,6 +91,8 @@ def import_frames(
 
     >>> session = labkit.import_frames("frames.csv", "plan.toml", "night-3")
     """
+    if Path(csv_path).suffix == ".toml" and Path(str(plan)).suffix == ".csv":
+        raise DataError(f"{csv_path} is the plan, {plan} the list: give the list first")
     csv_path = Path(csv_path)
     session_folder = Path(session_folder)
     source = plan_source(plan)
@@ -235,7 +237,7 @@ def _range(text: str, plan: Plan) -> float | None:
     except ValueError:
         range_mm = math.nan
     if not (math.isfinite(range_mm) and range_mm > focal_mm):
-        words = f"allowed is nothing, or a number above the focal length, {focal_mm:g} mm"
+        words = f"allowed is nothing, or a number of mm, not of m, above the focal length, {focal_mm:g} mm"
         meant = plain_number(text)
         raise DataError(
             f"range_mm {shown(text)}: {words}" + (f"; write {meant}" if meant else "")
