@@ -27,13 +27,15 @@ PUPIL = {
 }
 """The pupil's numbers, by their names in an address."""
 
-KINDS = ", ".join(f"{device}.{kind}" for device, kinds in FAULTS.items() for kind in kinds)
+ORDERED_FAULTS = ", ".join(
+    f"{device}.{kind}" for device, kinds in FAULTS.items() for kind in kinds
+)
 
 ALLOWED_ORDERS = (
     "allowed is seed=N; a lens as in lens.blades=7, lens.blades_turn_deg=10, "
     "lens.blade_rounding=0.3, lens.obstruction=0.38, lens.cats_eye=0.3,1.1,45 (shift, radius, "
     "direction), lens.noll_22=0.01, lens.higher_rms=0.03; and faults as in camera.timeout=2 "
-    f"(at the second exposure) or camera.timeout=2x3 (three times from there): {KINDS}"
+    f"(at the second exposure) or camera.timeout=2x3 (three times from there): {ORDERED_FAULTS}"
 )
 
 

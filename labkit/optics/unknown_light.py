@@ -57,4 +57,4 @@ def widened(number: N, *others: N) -> N:
 
 def largest(changes: Sequence[Floats | float]) -> Floats:
     """Return the largest absolute value of each element of changes of one shape."""
-    return np.asarray(np.max(np.abs(changes), axis=0))
+    return np.asarray(np.max([np.abs(change) for change in changes], axis=0))
