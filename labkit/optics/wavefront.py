@@ -131,8 +131,7 @@ class FittedWavefront:
 
     @property
     def in_possible_lights(self) -> tuple[FittedWavefront, ...]:
-        """The wavefront in the broadest light that the photographs allow, and in light of a width midway to it; none if the light
-        is known.
+        """The wavefront in light midway to the broadest that the photographs allow, and in the broadest; none if it is known.
 
         A number may change more in the narrower light: where rings that broad light washes out meet its wider rim.
         """
