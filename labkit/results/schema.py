@@ -285,8 +285,8 @@ class WavefrontEntry(Entry):
         return self.key
 
     @classmethod
-    def of_wavefront(cls, w: Wavefront, errors_known: bool) -> WavefrontEntry:
-        """Return the entry of a wavefront, and whether its errors are known."""
+    def of_wavefront(cls, w: Wavefront, results: Results) -> WavefrontEntry:
+        """Return the entry of a wavefront of some results."""
         return cls.of(
             w,
             spectrum=None
@@ -294,7 +294,7 @@ class WavefrontEntry(Entry):
             else tuple(map(tuple, w.spectrum.lines(w.wavelength_nm))),
             rim=None if w.rim.is_round else w.rim,
             twin_waves=listed(w.twin.waves) if w.sign_open else None,
-            errors_known=errors_known,
+            errors_known=confirmed(w, results.wavefronts),
             pose=w.poses[0],
             test=_shortened(w.test),
             **_verdicts(w),
@@ -464,10 +464,7 @@ class Content(Entry):
             schema_=SCHEMA,
             plan=plan.model_dump(mode="json", exclude_none=True),
             convention=plan.fit.convention,
-            wavefronts=tuple(
-                WavefrontEntry.of_wavefront(w, confirmed(w, results.wavefronts))
-                for w in results.wavefronts
-            ),
+            wavefronts=tuple(WavefrontEntry.of_wavefront(w, results) for w in results),
             lens=None if lens is None else LensEntry.of_results(results, lens),
             light={name: LightEntry.of(of) for name, of in results.named_lights.items()},
             focus_waves_per_nm=results.focus_slopes(),
