@@ -9,8 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, model_validator
 
 from labkit.plan.fields import Allowed, Name, Number, Takes, one_of, or_fit, problem
-from labkit.plan.standard_errors import Error, refuse_larger, stated
-from labkit.plan.table import Table
+from labkit.plan.table import Error, Table, refuse_larger, stated
 from labkit.spectra import LIGHT_KINDS, TYPICAL, ChannelLight, channel_light
 from labkit.spectra.tables import COLOURS
 from labkit.uncertain import Uncertain

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
 from labkit.errors import PlanError
+from labkit.plan.fields import Allowed, Number, problem
 from labkit.plan.messages import message
 from labkit.plan.text import plain
+from labkit.uncertain import Uncertain
 
 
 class Table(BaseModel):
@@ -39,3 +41,18 @@ class Table(BaseModel):
             )
         except ValidationError as error:
             raise PlanError(message(error, cls, tables)) from None
+
+
+Error = Annotated[Number, AfterValidator(Allowed(0, 1e6))]
+
+
+def stated(value: float, std: float | None, relative: float, unit: str = "") -> Uncertain:
+    """Return a number with its standard error; a relative one where the plan states none."""
+    return Uncertain(value, relative * value if std is None else std, unit)
+
+
+def refuse_larger(table: Table, name: str, error: str) -> None:
+    """Raise an error for a standard error larger than its value."""
+    value, std = getattr(table, name), getattr(table, error)
+    if std is not None and std > value:
+        raise problem(f"{error} = {std:g}: allowed is 0 to {name} = {value:g}")

@@ -33,8 +33,7 @@ from labkit.plan.fields import (
     problem,
     repeated,
 )
-from labkit.plan.standard_errors import Error, refuse_larger, stated
-from labkit.plan.table import Table
+from labkit.plan.table import Error, Table, refuse_larger, stated
 from labkit.uncertain import Uncertain
 
 LAST_NOLL = 66
