@@ -1,7 +1,6 @@
 """Results: what a session's photographs amount to, kept in SESSION/results/NAME."""
 
 from labkit.results.best_focus import BestFocus
-from labkit.results.colour import ColourShift
 from labkit.results.model import (
     Focus,
     Lens,
@@ -13,6 +12,7 @@ from labkit.results.model import (
     Wavefront,
 )
 from labkit.results.results import Results
+from labkit.results.tables import ColourShift
 
 __all__ = [
     "BestFocus",

@@ -17,9 +17,14 @@ from labkit.key import Key, same_range
 from labkit.optics.lens import ThinLens
 from labkit.plan import Plan
 from labkit.results import storage, tables, verdicts
-from labkit.results.colour import ColourShift, focus_slopes, longitudinal_colour
 from labkit.results.model import Focus, Lens, PartTried, Wavefront
-from labkit.results.tables import ChannelSummary, channel_summary
+from labkit.results.tables import (
+    ChannelSummary,
+    ColourShift,
+    channel_summary,
+    focus_slopes,
+    longitudinal_colour,
+)
 from labkit.spectra import ChannelLight
 from labkit.uncertain import Uncertain
 from labkit.version import __version__

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labkit.results.colour import focus_slopes
 from labkit.results.model import Wavefront
+from labkit.results.tables import focus_slopes
 from tests.results_samples import a_wavefront, full_results, some_results
 
 NM = {"R": 650.0, "G": 550.0, "B": 450.0}

@@ -9,7 +9,7 @@ import pytest
 from labkit.optics.strehl import strehl
 from labkit.report.curves import at_best_focus
 from labkit.results import BestFocus, Focus, Lens, Results
-from labkit.results.colour import longitudinal_colour
+from labkit.results.tables import longitudinal_colour
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 from tests.results_samples import FOCUS, LENS, REJECTED, a_wavefront, some_results, written
