@@ -7,7 +7,7 @@ sees it, light and ambient fitted.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -37,6 +37,7 @@ from labkit.drivers.simulated.world import (
     TrueSensor,
     Truth,
 )
+from labkit.mode_groups import MOST_NOLL
 from labkit.plan import Plan
 from labkit.session.session import Session
 from labkit.types import Floats
@@ -55,6 +56,10 @@ SAMPLES = 6
 
 MANY_MODES = 22
 """Last of Noll's modes."""
+
+SEVEN_BLADES = Pupil(blades=7, turn_deg=20.0, rounding=0.4)
+CATS_EYE = Pupil(cats_eye=(0.3, 1.0, 60.0))
+"""Pupils of strong wavefronts' sessions."""
 
 HIGHER_WAVES = 0.005, 0.05
 """Of lenses as they are made, RMS of Noll's modes 16 to 36."""
@@ -111,6 +116,25 @@ def draw_many_modes(
     stations = np.array([-0.8, 0.0, 0.8]) + rng.uniform(-0.15, 0.15, 3)
     drawn = _session(lens, _ranges_at(lens, best_mm, stations), "through focus", rng)
     return replace(drawn, plan=drawn.plan.replace(fit={"zernike_noll": (4, last)}))
+
+
+def draw_strong(
+    seed: int, index: int, waves: float = 0.5, pupil: Pupil | None = None
+) -> Drawn:
+    """Draw a session of `draw_many_modes` with modes to Noll 37, of which its plan says nothing.
+
+    Parameters
+    ----------
+    waves : RMS of the modes 5 to 37
+    pupil : the pupil, if not round; Drawn.kind["as_made"] has it
+    """
+    drawn = draw_many_modes(seed, index, MOST_NOLL, waves)
+    made = replace(drawn, plan=drawn.plan.replace(fit={"zernike_noll": None}))
+    if pupil is None:
+        return made
+    settings = replace(drawn.settings, lens=replace(drawn.settings.lens, pupil=pupil))
+    kind = {**drawn.kind, "as_made": {"pupil": asdict(pupil)}}
+    return replace(made, settings=settings, kind=kind)
 
 
 def draw_with_parts(seed: int, index: int) -> Drawn:
@@ -179,8 +203,10 @@ def _pupil(rng: np.random.Generator) -> dict[str, Any]:
 KINDS: dict[str, Callable[[int, int], Drawn]] = {
     "any": draw,
     "many-modes": draw_many_modes,
-    "many-modes-37": partial(draw_many_modes, last=37),
-    "many-modes-37-one-wave": partial(draw_many_modes, last=37, waves=1.0),
+    "many-modes-37": draw_strong,
+    "many-modes-37-one-wave": partial(draw_strong, waves=1.0),
+    "many-modes-37-blades": partial(draw_strong, pupil=SEVEN_BLADES),
+    "many-modes-37-cats-eye": partial(draw_strong, pupil=CATS_EYE),
     "with-parts": draw_with_parts,
     "as-made": draw_as_made,
 }

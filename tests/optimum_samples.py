@@ -18,6 +18,7 @@ from labkit.estimation.residuals import Verdict
 from labkit.estimation.scores import ScoreTest
 from labkit.estimation.searches import Task
 from labkit.estimation.session import estimate
+from labkit.estimation.together import Together, TogetherTask, climb_together
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
 from labkit.plan import Plan
@@ -131,19 +132,28 @@ class Play:
     Attributes
     ----------
     ends : what a search finds; None where its process is killed
+    together : what a climb over several stations ends in; None where its process is killed
     order : of the results, given how many they are
-    batches : tasks, as they were asked for
+    batches : searches, as they were asked for
+    climbs : climbs over several stations, as they were asked for
     """
 
     ends: Callable[[Task], Found | None] = right
+    together: Callable[[TogetherTask], Together | None] = lambda task: None
     order: Callable[[int], Sequence[int]] = range
     batches: list[list[Task]] = field(default_factory=list)
+    climbs: list[TogetherTask] = field(default_factory=list)
 
     def __call__(
         self, function: Callable[[Any], Any], tasks: Sequence[Any]
     ) -> Iterator[tuple[int, Any]]:
-        self.batches.append([*tasks])
-        results = [self.ends(task) for task in tasks]
+        results: list[Any]
+        if function is climb_together:
+            self.climbs += tasks
+            results = [self.together(task) for task in tasks]
+        else:
+            self.batches.append([*tasks])
+            results = [self.ends(task) for task in tasks]
         yield from (
             (k, results[k]) for k in self.order(len(tasks)) if results[k] is not None
         )

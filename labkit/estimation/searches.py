@@ -63,10 +63,10 @@ class Searches:
     later: int | None = None
 
     def __post_init__(self) -> None:
-        self._shown = {
+        self.shown = {
             channel: share(self.run, target) for channel, target in self.targets.items()
         }
-        self._views = [
+        self.views = [
             share(self.run, Views(o.frames, o.poses, o.noise)) for o in self.observations
         ]
 
@@ -121,8 +121,8 @@ class Searches:
         return Task(
             observation.key.label,
             optics,
-            self._shown[observation.channel],
-            self._views[k],
+            self.shown[observation.channel],
+            self.views[k],
             guesses,
         )
 

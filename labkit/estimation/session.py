@@ -20,6 +20,7 @@ from labkit.estimation.searches import Searches
 from labkit.estimation.select import OUT, Selection, exact_lens, poor_model, select
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import Stated, nominal_f_number, optics_of, wanted_parts
+from labkit.estimation.strong import StrongSearch
 from labkit.execute import Run
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
@@ -120,6 +121,7 @@ class _Loop:
         """Fit until every observation has the predicted optimum, or was climbed from the prediction."""
         while guesses := self._next():
             self._fit(guesses)
+            self._search_together()
             self._choose_parts()
 
     def _next(self) -> dict[int, Guesses]:
@@ -323,6 +325,15 @@ class _Loop:
         best = [found.best for found in self.found.values()]
         return max(best, key=lambda one: (one.verdict.accepted, abs(float(one.waves[0]))))
 
+    def _search_together(self) -> None:
+        """Search several stations at once, with all modes, if the anchors' optima contradict each other."""
+        if self.deep or self._parts_chosen_by:
+            return
+        stronger = StrongSearch(self.search, self.plan)(self.found, self.parts)
+        if stronger is not None:
+            self.parts, self.found = stronger
+            self.anchors, self.deep = list(self.found), True
+
     # choices
 
     def selection(self) -> Selection | None:
@@ -333,21 +344,16 @@ class _Loop:
 
     def _select(self) -> Selection | None:
         every = [observed(self.observations[k], self.found.get(k)) for k in self.ranged]
-        if not any(one.candidates for one in every):
-            return None
-        return select(every, self.stated)
+        fitted = any(one.candidates for one in every)
+        return select(every, self.stated) if fitted else None
 
     def chosen(self, k: int) -> Optimum:
         """Return the optimum of observation k, with the session's sign if the session decides it."""
-        selection = self.selection()
-        found = self.found[k]
-        if (
-            selection is None
-            or k not in self.ranged
-            or selection.choice[self.ranged.index(k)] == OUT
-        ):
+        selection, found = self.selection(), self.found[k]
+        row = self.ranged.index(k) if k in self.ranged else None
+        if selection is None or row is None or selection.choice[row] == OUT:
             return found.best.canonical()
-        place, twin = divmod(int(selection.choice[self.ranged.index(k)]), 2)
+        place, twin = divmod(int(selection.choice[row]), 2)
         usable = [one for one in found.optima if not one.verdict.undetermined]
         return usable[place].twin() if twin else usable[place]
 

@@ -41,6 +41,18 @@ class Settings:
     same_optimum: float = 0.5
     """Difference of log-likelihood, one standard error, below which two ends are one optimum."""
 
+    # together: several stations at once, from nothing
+    stations: int = 3
+    """Number of stations: the nearest, the farthest and the middle one."""
+    foci_waves: float = 0.25
+    """Distance of best foci that are tried, at the light's own wavelength: climbs began up to 0.15 waves off."""
+    first_damping: float = 1.0
+    """Damping of the first step: with 1e-3, climbs jumped to other optima where modes have one wave RMS."""
+    strong_steps: int = 60
+    """Largest number of steps: with half a wave RMS in 34 modes climbs take 14 to 27, with one wave 50 to 70."""
+    strong_modes_std: float = 0.1
+    """Standard deviation of each mode beyond defocus before any photograph, waves RMS: it holds what a sketch leaves open."""
+
     # small_problem: one frame, its pose held
     small_window_airy: float = 32.0
     """Window of PSFs: light farther out hardly depends on the wavefront."""

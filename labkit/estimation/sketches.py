@@ -10,6 +10,7 @@ from labkit.estimation.likelihood import FrameData
 from labkit.estimation.settings import SETTINGS
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
+from labkit.imaging.scene import Drawing
 from labkit.imaging.warp import Pose
 from labkit.imaging.window import WINDOW_AIRY
 from labkit.optics.wavefront import FARTHEST_WAVES
@@ -56,13 +57,28 @@ class Sketches:
             <= SETTINGS.near_waves * self.optics.wavelength_um
         )
 
+    @property
+    def wide(self) -> Problem:
+        """The sketch for wavefronts of any defocus."""
+        return self._problem(self.band, WINDOW_AIRY)
+
     def problem(self, state: State, band: float) -> Problem:
         """Return a problem for wavefronts similar to a state's, over a share `band` of the pass band."""
-        key = band, SETTINGS.near_window_airy if self.near(state) else WINDOW_AIRY
+        return self._problem(
+            band, SETTINGS.near_window_airy if self.near(state) else WINDOW_AIRY
+        )
+
+    def _problem(self, band: float, window_airy: float) -> Problem:
+        key = band, window_airy
         if key not in self._made:
             shape = self.frame.counts.shape
             model = ForwardModel.build(
-                self.optics, self.target, shape, self.pose, band=band, window_airy=key[1]
+                self.optics,
+                self.target,
+                shape,
+                self.pose,
+                band=band,
+                window_airy=window_airy,
             )
             self._made[key] = Problem(model, (self.frame,), self.noise)
         return self._made[key]
@@ -78,11 +94,7 @@ def sweep(sketches: Sketches, start: State) -> list[State]:
     -------
     one state for each defocus, the least sum of squares first
     """
-    scale, frame = (
-        sketches.optics.wavelength_um / sketches.optics.reference_um,
-        sketches.frame,
-    )
-    light, counts = frame.illumination[frame.used], frame.counts[frame.used]
+    scale = sketches.optics.wavelength_um / sketches.optics.reference_um
     signs = (1, -1) if start.waves[1:].any() else (1,)
     values = [sign * value for value in SETTINGS.swept_waves for sign in signs]
     swept, best, outermost = list[tuple[float, State]](), np.inf, 0.0
@@ -94,20 +106,30 @@ def sweep(sketches: Sketches, start: State) -> list[State]:
         if problem is not sketches.problem(state, sketches.band):
             problem = sketches.problem(state, sketches.band)
             drawing = problem.draw(start)
-        (relative,) = problem.relative(state, drawing)
-        columns = np.stack([light * relative, light], axis=1)
-        levels = np.asarray(np.linalg.lstsq(columns, counts)[0], np.float64)
-        misfit = float(np.sum((columns @ levels - counts) ** 2))
-        swept.append(
-            (
-                misfit,
-                replace(state, scales=levels[:1], ambients=levels[1:])
-                if levels[0] > 0
-                else state,
-            )
-        )
+        misfit, lit = fitted_light(problem, state, drawing)
+        swept.append((misfit, lit))
         if misfit < best:
             best, outermost = misfit, value
         if not values and abs(outermost) == abs(value) < FARTHEST_WAVES:
             values += [sign * np.sqrt(2) * abs(value) for sign in signs]
     return [state for _, state in sorted(swept, key=lambda entry: entry[0])]
+
+
+def fitted_light(problem: Problem, state: State, drawing: Drawing) -> tuple[float, State]:
+    """Return the least sum of squares of the first frame over its light, and the state with that light if it is positive.
+
+    Parameters
+    ----------
+    problem : the frame and its model
+    state : pose and wavefront
+    drawing : the target at the state's pose
+    """
+    frame = problem.frames[0]
+    light, counts = frame.illumination[frame.used], frame.counts[frame.used]
+    (relative,) = problem.relative(state, drawing)
+    columns = np.stack([light * relative, light], axis=1)
+    levels = np.asarray(np.linalg.lstsq(columns, counts)[0], np.float64)
+    misfit = float(np.sum((columns @ levels - counts) ** 2))
+    if levels[0] <= 0:
+        return misfit, state
+    return misfit, replace(state, scales=levels[:1], ambients=levels[1:])

@@ -15,9 +15,11 @@ from labkit.estimation.searches import Task
 from labkit.estimation.session import estimate
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.split import second_camp
+from labkit.estimation.together import Together, TogetherTask
 from labkit.plan import Plan
 from tests.lens_samples import best_focus
 from tests.optimum_samples import (
+    ASTIGMATISM,
     PLAN,
     POSE,
     RANGES_MM,
@@ -213,6 +215,65 @@ def test_where_the_ends_contradict_each_other_both_are_searched_further() -> Non
         [True] * 2,
     ]
     assert session.members == (0, 1, 2, 3)
+
+
+STRONG = 0.3
+"""Waves RMS of astigmatism by which a first search is off at the far end."""
+
+
+def at_odds(task: Task) -> Found:
+    """Optima from nothing that contradict each other; from a start, what the start has, explained if it is the right one."""
+    begun, at_end = task.guesses.starts, range_of(task) > NEAR
+    off = float(begun[0][1] - ASTIGMATISM) if begun else STRONG * at_end
+    explained = bool(begun) and abs(off) < SETTINGS.other_optimum_waves
+    return Found(
+        (
+            optimum(
+                task.optics,
+                range_of(task),
+                off=(0.0, off),
+                height=0.0 if explained else -500.0,
+                explained=explained,
+            ),
+        )
+    )
+
+
+def climbed(task: TogetherTask, astigmatism: float) -> Together:
+    """The end of a climb with an amount of astigmatism."""
+    return Together(tuple(np.array([at, astigmatism]) for at in task.defocus))
+
+
+def test_ends_that_contradict_each_other_are_searched_with_a_range_between() -> None:
+    play = Play(at_odds, together=partial(climbed, astigmatism=ASTIGMATISM))
+    session = played(play)
+    (climb,) = play.climbs
+    # the range between is the third of four; defocus is relative to the nearest
+    at = [true_values(r)[0] for r in (2900.0, 3100.0, 3200.0)]
+    np.testing.assert_allclose(climb.defocus, np.subtract(at, at[0]), rtol=0.03)
+    assert play.labels[1] == ["G at 2900 mm", "G at 3100 mm", "G at 3200 mm"]
+    assert play.labels[2] == ["G at 3010 mm"]
+    assert all(fit.optimum.verdict.accepted for fit in session.fits)
+    assert not any(task.guesses.deep for batch in play.batches for task in batch)
+
+
+@pytest.mark.parametrize(("scatter", "climbs"), [(0.0, 1), (STRONG, 3)])
+def test_climbs_over_several_ranges_begin_at_other_foci_until_the_ranges_agree(
+    scatter: float, climbs: int
+) -> None:
+    """Where all agree, the model is poor. Where no likelihood rises, the search goes on as before."""
+
+    def wrong(task: TogetherTask) -> Together:
+        return Together(
+            tuple(
+                np.array([at, -STRONG + k * scatter]) for k, at in enumerate(task.defocus)
+            )
+        )
+
+    play = Play(at_odds, together=wrong)
+    played(play)
+    assert [climb.rank for climb in play.climbs] == list(range(climbs))
+    assert any(task.guesses.deep for batch in play.batches for task in batch)
 
 
 @pytest.mark.parametrize("returns", [0, 1])
