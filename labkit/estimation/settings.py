@@ -42,6 +42,9 @@ class Settings:
     """Difference of log-likelihood, one standard error, below which two ends are one optimum."""
 
     # together: several stations at once, from nothing
+    contrary_waves: float = 0.15
+    """RMS difference between modes of two unexplained optima, except defocus, beyond which stations are searched together.
+    A model without blades, an obstruction of 0.42 or higher modes left 0.006 to 0.09; half a wave in 34 modes left 0.27."""
     stations: int = 3
     """Number of stations: the nearest, the farthest and the middle one."""
     foci_waves: float = 0.25

@@ -59,7 +59,9 @@ class StrongSearch:
             if _height(ends) > _height(reached):
                 reached = ends
             optima = [one.best for one in reached.values()]
-            if all(one.verdict.accepted for one in optima) or _agree(optima):
+            if all(one.verdict.accepted for one in optima) or _agree(
+                optima, SETTINGS.sure_waves
+            ):
                 break
         gain = sum(
             reached[k].best.log_likelihood - best[k].log_likelihood
@@ -134,19 +136,19 @@ def _contradictory(optima: list[Optimum]) -> bool:
         len(optima) > 1
         and optima[0].noll[0] == DEFOCUS
         and not any(one.verdict.accepted for one in optima)
-        and not _agree(optima)
+        and not _agree(optima, SETTINGS.contrary_waves)
     )
 
 
-def _agree(optima: list[Optimum]) -> bool:
-    """Whether optima, or their twins, have the same modes but for defocus."""
+def _agree(optima: list[Optimum], within_waves: float) -> bool:
+    """Whether optima, or their twins, have the same modes but for defocus, to an RMS difference."""
     first, *others = optima
     return all(
         min(
             float(np.linalg.norm((twin.waves - first.waves)[1:]))
             for twin in (other, other.twin())
         )
-        < SETTINGS.sure_waves
+        < within_waves
         for other in others
     )
 
