@@ -88,10 +88,13 @@ def brute_force_mean(
     """
     spacing_um, guard = 4.8 / many, 40
     step = 1 / (many * finer)
-    rows, cols = (-0.5 + (np.arange(n * many * finer) + 0.5) * step for n in FRAME)
-    seen = points_seen(rows[:, None], cols[None])
+    rows, cols = (
+        np.asarray(-0.5 + (np.arange(n * many * finer) + 0.5) * step) for n in FRAME
+    )
+    down, right = rows[:, None], cols[None]
+    seen = points_seen(down, right)
     if light is not None:
-        seen *= light(rows[:, None], cols[None])
+        seen *= light(down, right)
     shape = FRAME[0] * many, FRAME[1] * many
     inside = seen.reshape(shape[0], finer, shape[1], finer).mean(axis=(1, 3))
     # the target ends within the frame, and nothing shines around it

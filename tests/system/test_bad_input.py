@@ -275,7 +275,9 @@ def test_too_few_ranges_for_a_focus_are_said_after_all_that_could_be_fitted(
     warnings, last = err.splitlines()[:-1], err.splitlines()[-1]
     assert all(line.startswith("labkit: warning: ") for line in warnings)
     assert not any("no best focus" in line for line in warnings)
-    assert re.fullmatch(r"labkit: no best focus of G, which needs at least 2 ranges: .*", last)
+    assert re.fullmatch(
+        r"labkit: no best focus of G, which needs at least 2 ranges: .*", last
+    )
     assert json.loads(results.read_text())["focus"] is None
 
 
