@@ -223,6 +223,8 @@ class CameraChoice:
         for name in sorted(parts & losses.keys(), key=lambda one: losses[one]):
             if losses[name] < cost(parts) - cost(parts - {name}):
                 yield parts - {name}
+        for name in TESTED_IN_PLACE.keys() & parts:
+            yield (parts - {name}) | {TESTED_IN_PLACE[name]}
         least = _least_gain([optimum for _, optimum in fits])
         net = {
             name: test.gain - cost(extended(parts, name)) + cost(parts)
@@ -232,8 +234,6 @@ class CameraChoice:
         for name in sorted(net, key=lambda one: (not (least and _far(one)), -net[one])):
             if net[name] > 0:
                 yield extended(parts, name)
-        for name in TESTED_IN_PLACE.keys() & parts:
-            yield (parts - {name}) | {TESTED_IN_PLACE[name]}
         for name in [one for one in ALIKE_BLURS if one in parts]:
             more_common = [
                 one for one in ALIKE_BLURS[: ALIKE_BLURS.index(name)] if one in tests

@@ -69,10 +69,20 @@ class Refits:
         return refitted
 
     def _most_similar(self, k: int, end: Optimum, parts: Parts, choice: Parts) -> Optimum:
-        """Return the optimum of an observation whose parts and modes are most similar to a choice."""
+        """Return the likeliest optimum of an observation among fits that differ from a choice by few parts and modes.
+
+        Fits that differ by one part, or by a part in place of another, are alike: the likelier one may have found an optimum
+        that others missed.
+        """
         fitted = [(names, made[k]) for names, made in self.made.items() if k in made]
         fitted.append((parts, end))
-        return min(fitted, key=lambda one: len(one[0] ^ choice))[1]
+        away = [max(len(names - choice), len(choice - names)) for names, _ in fitted]
+        alike = [
+            one
+            for (_, one), distance in zip(fitted, away, strict=True)
+            if distance <= max(1, min(away))
+        ]
+        return max(alike, key=lambda one: one.log_likelihood)
 
 
 def with_tests(guess: Guesses, optics: Optics, plan: Plan) -> Guesses:

@@ -56,12 +56,13 @@ class StrongSearch:
         reached = dict[int, Found]()
         for rank in range(SETTINGS.tried):
             ends = self._searched(self._stations(found), choice, rank)
-            if _height(ends) > _height(reached):
+            rise = _height(ends) - _height(reached)
+            if rise > 0:
                 reached = ends
             optima = [one.best for one in reached.values()]
-            if all(one.verdict.accepted for one in optima) or _agree(
-                optima, SETTINGS.sure_waves
-            ):
+            returned = abs(rise) < SETTINGS.same_optimum * len(ends)
+            explained = all(one.verdict.accepted for one in optima)
+            if returned or explained or _agree(optima, SETTINGS.sure_waves):
                 break
         gain = sum(
             reached[k].best.log_likelihood - best[k].log_likelihood

@@ -232,7 +232,7 @@ def at_odds(task: Task) -> Found:
                 task.optics,
                 range_of(task),
                 off=(0.0, off),
-                height=0.0 if explained else -500.0,
+                height=0.0 if explained else -500.0 - 100.0 * abs(off),
                 explained=explained,
             ),
         )
@@ -264,10 +264,9 @@ def test_climbs_over_several_ranges_begin_at_other_foci_until_the_ranges_agree(
     """Where all agree, the model is poor. Where no likelihood rises, the search goes on as before."""
 
     def wrong(task: TogetherTask) -> Together:
+        first = -STRONG * (1 + task.rank)
         return Together(
-            tuple(
-                np.array([at, -STRONG + k * scatter]) for k, at in enumerate(task.defocus)
-            )
+            tuple(np.array([at, first + k * scatter]) for k, at in enumerate(task.defocus))
         )
 
     play = Play(at_odds, together=wrong)

@@ -1,0 +1,71 @@
+"""From which optimum a refit with other parts begins; the searches themselves are played."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, cast
+
+import numpy as np
+
+from labkit.estimation.local import Found, Guesses, Optimum
+from labkit.estimation.refits import Refits
+from labkit.estimation.searches import Searches
+from labkit.estimation.stated import optics_of
+from labkit.imaging.optics import Optics
+from labkit.imaging.parts import KNOWN
+from tests.optimum_samples import PLAN, RANGES_MM, observations, optimum
+
+NONE = frozenset[str]()
+SMEAR = frozenset({"smear"})
+UNEVEN = frozenset({"uneven_rim"})
+EYE = frozenset({"cats_eye"})
+
+
+@dataclass
+class Played:
+    """Searches that end where they are told to, and keep what they were asked for."""
+
+    ends: Mapping[int, Optimum]
+    wanted: dict[int, tuple[Optics, Guesses]] = field(default_factory=dict)
+    observations: Any = field(default_factory=observations)
+
+    def __call__(
+        self, wanted: Mapping[int, tuple[Optics, Guesses]], doing: str
+    ) -> dict[int, Found]:
+        self.wanted = dict(wanted)
+        return {k: Found((self.ends[k],)) for k in wanted}
+
+
+def end_with(parts: frozenset[str], off: float, height: float) -> Optimum:
+    """An optimum with some parts, off by some waves of defocus."""
+    optics = optics_of(PLAN, "G").with_parts(parts)
+    return optimum(optics, RANGES_MM[0], off=(off, 0.0), height=height)
+
+
+def test_a_refit_without_a_part_begins_from_the_better_optimum_that_the_part_led_to() -> (
+    None
+):
+    missed, better = end_with(NONE, 0.1, -100.0), end_with(SMEAR, 0.0, 0.0)
+    search = Played({0: better})
+    refits = Refits(cast(Searches, search), PLAN)
+    refits({0: missed}, NONE, SMEAR)
+    refits({0: missed}, NONE, NONE)
+    _, guess = search.wanted[0]
+    assert guess.state is not None
+    np.testing.assert_allclose(guess.state.waves, better.state.waves)
+
+
+def test_a_cats_eye_begins_from_the_uneven_rim_in_whose_place_it_is_fitted() -> None:
+    round_one = end_with(NONE, 0.0, -100.0)
+    uneven = KNOWN["uneven_rim"].at([-0.1, 0.0, 0.02, 0.0])
+    oval = end_with(UNEVEN, 0.0, 0.0)
+    oval = replace(oval, optics=replace(oval.optics, parts=(uneven,)))
+    search = Played({0: oval})
+    refits = Refits(cast(Searches, search), PLAN)
+    refits({0: round_one}, NONE, UNEVEN)
+    refits({0: round_one}, NONE, EYE)
+    optics, _ = search.wanted[0]
+    (eye,) = optics.parts
+    assert eye.name == "cats_eye"
+    assert np.hypot(*eye.values[:2]) > 0.09
