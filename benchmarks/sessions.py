@@ -36,7 +36,6 @@ COUNTS = (
     "wrong_accepted",
     "wrong_rejected",
     "right_rejected",
-    "unjudged",
     "mended",
 )
 
@@ -55,9 +54,6 @@ PARTS = {
 TURNED = "low_pass_filter_turned"
 BLURS = ("low_pass_filter", TURNED, "diffusion", "smear")
 
-LEAST_CUT = 1e-6
-"""Share of the pupil that a cat's eye takes, at least, to be one: what a clear pupil's measured area may err by."""
-
 FAR_Z = 4.0
 """One error in 16,000 of a unit normal is beyond."""
 
@@ -67,7 +63,6 @@ ROWS = {
     "pupil magnification": ("pupil_magnification",),
     "range zero": ("range_zero",),
     "best focus": ("best_focus",),
-    "best focus, pupil cut": ("best_focus_cut",),
     "defocus": ("noll.4",),
     "other modes": tuple(f"noll.{j}" for j in range(5, 23)),
     "modes beyond 22": tuple(f"noll.{j}" for j in range(23, 46)),
@@ -136,11 +131,9 @@ def _described(job: Job, drawn: Drawn) -> Line:
 def compared(results: Line, truth: Truth) -> Line:
     """Errors over standard errors of all that results.json tells, and how many fits ended in a wrong optimum.
 
-    Ranges are those that the encoder read: their zero holds the tape's error and that of the home switch. The f-number is by
-    clear area. A wavefront through a cat's eye has other modes about another middle, and with them another defocus: its modes
-    are not judged, and best foci are counted apart.
+    Ranges are those that the encoder read: their zero holds the tape's error and that of the home switch. F-number and modes
+    are those of the full pupil, whatever a cat's eye cuts.
     """
-    cut = truth.clear_share < 1 - LEAST_CUT
     zero_mm = truth.visits[0].range_zero_mm
     best_mm = {
         colour: mm + truth.range_zero_mm - zero_mm
@@ -150,18 +143,15 @@ def compared(results: Line, truth: Truth) -> Line:
     lens, focus = results.get("lens") or {}, results.get("focus") or {}
     pupils = lens.get("pupil_magnification") or focus.get("pupil_magnification")
     _add(z, "focal_length", lens.get("focal_length_mm"), truth.focal_length_mm)
-    _add(z, "f_number", lens.get("f_number"), truth.f_number / truth.clear_share**0.5)
+    _add(z, "f_number", lens.get("f_number"), truth.f_number)
     _add(z, "pupil_magnification", pupils, truth.pupil_magnification)
     _add(z, "range_zero", lens.get("range_zero_mm"), zero_mm)
     for colour, best in focus.get("best_focus_mm", {}).items():
-        _add(z, "best_focus_cut" if cut else "best_focus", best, best_mm[colour])
+        _add(z, "best_focus", best, best_mm[colour])
     counts = dict.fromkeys(COUNTS, 0)
     counts["mended"] = sum(
         finding["code"] == "fit-mended" for finding in results["findings"]
     )
-    if cut:
-        counts["fits"] = counts["unjudged"] = len(results["wavefronts"])
-        return {"z": z, **counts}
     visits = {visit.range_mm: visit for visit in truth.visits}
     for w in results["wavefronts"]:
         true = {

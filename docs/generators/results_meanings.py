@@ -26,7 +26,8 @@ MEANINGS = {
     ),
     "wavefronts[].pupil": (
         "The pupil's rim, lengths over the full pupil's radius, angles from x (right) towards y (down); null for a clear disc. "
-        "F-numbers are those of the circle of equal clear area, and modes are Zernike's over it."
+        "F-numbers are those of the circle with the full pupil's clear area, and modes are Zernike's over it: a cat's eye, "
+        "which cuts the full pupil, changes neither."
     ),
     "wavefronts[].pupil.cuts": "Edges that limit it, the innermost at every angle.",
     "wavefronts[].pupil.cuts[].blades": "Number of a diaphragm's blades.",
@@ -37,7 +38,7 @@ MEANINGS = {
     "wavefronts[].pupil.cuts[].direction_deg": "Direction of its shift.",
     "wavefronts[].pupil.uneven": "Relative departures of the outline along cos 2t, sin 2t, cos 3t and sin 3t.",
     "wavefronts[].pupil.obstructed": "Share of the outline's area that is obstructed.",
-    "wavefronts[].f_number": "F-number of the cone that reaches the sensor, by the pupil's clear area.",
+    "wavefronts[].f_number": "F-number of the cone that reaches the sensor, by the full pupil's clear area.",
     "wavefronts[].f_number_working": "The same with its standard error.",
     "wavefronts[].f_number_working.value": "Value.",
     "wavefronts[].f_number_working.std": "Standard error.",

@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from labkit.estimation.camera import Parts
+from labkit.estimation.climb import State
 from labkit.estimation.expansion import with_modes
 from labkit.estimation.local import Guesses, Optimum
 from labkit.estimation.searches import Searches
@@ -14,6 +17,7 @@ from labkit.estimation.stated import optics_of
 from labkit.imaging.optics import Optics
 from labkit.imaging.parts import KNOWN
 from labkit.mode_groups import MODE_GROUPS
+from labkit.optics.zernike import stretched
 from labkit.plan import Plan
 
 
@@ -58,7 +62,7 @@ class Refits:
                 .begun(begin.optics.parts)
                 .with_named(begin.optics.camera_labels, begin.optics.camera_parameters)
             )
-            state = with_modes(begin.state, begin.optics, optics)
+            optics, state = _with_the_light(begin, optics)
             guess = Guesses(SETTINGS.shared_f_number_std, state=state, deep=False)
             wanted[k] = optics, with_tests(guess, optics, self.plan) if score else guess
         if not wanted:
@@ -83,6 +87,19 @@ class Refits:
             if distance <= max(1, min(away))
         ]
         return max(alike, key=lambda one: one.log_likelihood)
+
+
+def _with_the_light(begin: Optimum, optics: Optics) -> tuple[Optics, State]:
+    """Return optics and state whose pupil is as large as an optimum's, and whose wavefront is the same.
+
+    The unit circle of a pupil that is cut to a cat's eye is the full pupil's.
+    """
+    state = with_modes(begin.state, begin.optics, optics)
+    wider = float(np.sqrt(begin.optics.rim.area / optics.rim.area))
+    if wider == 1:
+        return optics, state
+    waves = stretched(optics.noll, state.waves, wider)
+    return replace(optics, f_number=optics.f_number / wider), replace(state, waves=waves)
 
 
 def with_tests(guess: Guesses, optics: Optics, plan: Plan) -> Guesses:

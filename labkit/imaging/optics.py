@@ -28,7 +28,7 @@ class Optics:
     ----------
     wavelength_nm : of the light
     reference_nm : wavelength of the unit of wavefronts
-    f_number : working f-number, by clear area
+    f_number : working f-number, by the full pupil's clear area
     pitch_um : of the pixels, whatever their colours
     active_um : width of a pixel's active square
     noll : modes of the wavefront

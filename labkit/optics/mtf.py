@@ -461,11 +461,12 @@ def _disc_spread(halo: float, size: int) -> Floats:
 
 
 def _amplitude(rim: Rim, radius: float, longest: float) -> tuple[Floats, Floats]:
-    """Return coordinates (n,), samples, and the amplitude (n, n)."""
+    """Return coordinates (n,), samples, and the amplitude (n, n) with the light of the full pupil."""
     half = int(np.ceil(longest)) + OUTLINE_REACH
     offsets = np.arange(-half, half + 1.0)
     arcs = int(np.ceil(2 * np.pi * radius / ARC_SPACING))
-    return offsets, smooth_outline(offsets, [radius * edge for edge in rim.edges(arcs)])
+    clear = smooth_outline(offsets, [radius * edge for edge in rim.edges(arcs)])
+    return offsets, clear / np.sqrt(rim.area)
 
 
 def _size(width: int) -> int:

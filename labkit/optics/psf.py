@@ -176,8 +176,8 @@ class Pupil:
 
     wavelength_um, reference_um: of the light, and of the unit of wavefronts. f_number:
     working f-number. spacing_um: of the PSF. size: samples along a side of the PSF's
-    window. noll: the modes of the wavefront, over the circle of equal clear area, like the
-    f-number. rim: of the clear area. amplitude: (n, n) aperture with a smooth edge, its
+    window. noll: the modes of the wavefront, over the circle with the full pupil's clear
+    area, like the f-number. rim: of the clear area. amplitude: (n, n) aperture with a smooth edge, its
     centre in the middle. modes: (modes, n, n) Zernike polynomials there.
 
     Sampling the pupil folds light from beyond the window back into the window; `Blur`
@@ -236,13 +236,12 @@ class Pupil:
         return self.size * self.spacing_um / (2 * self.wavelength_um * self.f_number)
 
     def _amplitude(self, rim: Rim) -> Floats:
-        """Return (n, n) the aperture with a rim of its area, on this pupil's grid."""
+        """Return (n, n) the aperture with a rim, on this pupil's grid, with the light of the full pupil."""
         if rim.is_round:
             return smooth_disc(self._offsets, self.radius)
         vertices = int(np.ceil(2 * np.pi * self.radius / ARC_SPACING))
-        return smooth_outline(
-            self._offsets, [self.radius * edge for edge in rim.edges(vertices)]
-        )
+        edges = [self.radius * edge for edge in rim.edges(vertices)]
+        return np.asarray(smooth_outline(self._offsets, edges) / np.sqrt(rim.area))
 
     def _to_image(self, pupil: Field) -> Field:
         """Transform onto the PSF's window, its centre in the middle; the caller normalises.

@@ -113,13 +113,16 @@ class Circle:
 class Rim:
     """The clear part of a pupil: a star-shaped outline less an obstructed disc in its middle.
 
+    The unit of length is the radius of the circle with the clear area of the full pupil, which has no cat's eye. Modes and
+    f-numbers of a vignetted pupil so compare with those of the pupil on the axis.
+
     Attributes
     ----------
     cuts : edges that limit the pupil, the innermost at every angle; none for the full
         circle
     uneven : (4,) the outline's relative departures along cos 2t, sin 2t, cos 3t and sin 3t;
         first harmonics shift the pupil as a whole, which no image shows
-    obstructed : obstructed share of the outline's area; a negative share, in the course of
+    obstructed : obstructed share of the full outline's area; a negative share, in the course of
         an estimate, brightens the centre
     """
 
@@ -181,8 +184,8 @@ class Rim:
         return x, y, weights / weights.sum()
 
     def edges(self, arcs: int) -> list[Floats]:
-        """Return closed chains of parabolic arcs about a clear area of exactly pi; the obstruction's chain runs
-        backwards.
+        """Return closed chains of parabolic arcs about a clear area of exactly pi times `area`; the obstruction's
+        chain runs backwards.
 
         Parameters
         ----------
@@ -195,25 +198,41 @@ class Rim:
         ends = np.linspace(0.0, FULL_TURN, arcs, endpoint=False)
         circle = _chain(ends, np.ones_like)
         outline = _chain(np.unique([*ends, *(self._kinks() % FULL_TURN)]), self._radius)
-        clear = 1 - self.obstructed
-        outer = outline * np.sqrt(np.pi / (clear * _area(outline)))
+        share = self.obstructed / (1 - self.obstructed)
+        outer = outline * np.sqrt(np.pi * (self.area + share) / _area(outline))
         if not self.obstructed:
             return [outer]
-        share = self.obstructed / clear
         inner = circle * np.sqrt(np.pi * abs(share) / _area(circle))
         return [outer, np.roll(inner[::-1], 1, axis=0) if share > 0 else inner]
+
+    @property
+    def full(self) -> Rim:
+        """The rim of the full pupil: without the circles that cut it to a cat's eye."""
+        kept = tuple(
+            cut for cut in self.cuts if not (isinstance(cut, Circle) and cut.shift)
+        )
+        return self if len(kept) == len(self.cuts) else replace(self, cuts=kept)
+
+    @cached_property
+    def area(self) -> float:
+        """Clear area over the full pupil's: 1 unless a cat's eye cuts the pupil."""
+        if self.full is self:
+            return 1.0
+        share = self.obstructed / (1 - self.obstructed)
+        return self._scale**2 * self._outline_area / np.pi - share
 
     @cached_property
     def _scale(self) -> float:
         """Return the unit of `_radius`."""
-        ends = np.unique(
-            [
-                *np.linspace(0.0, FULL_TURN, OUTLINE_ARCS, endpoint=False),
-                *(self._kinks() % FULL_TURN),
-            ]
-        )
-        area = _area(_chain(ends, self._radius))
-        return float(np.sqrt(np.pi / ((1 - self.obstructed) * area)))
+        clear = (1 - self.obstructed) * self.full._outline_area
+        return float(np.sqrt(np.pi / clear))
+
+    @cached_property
+    def _outline_area(self) -> float:
+        """Area within the outline, in the unit of `_radius`."""
+        ends = np.linspace(0.0, FULL_TURN, OUTLINE_ARCS, endpoint=False)
+        ends = np.unique([*ends, *(self._kinks() % FULL_TURN)])
+        return _area(_chain(ends, self._radius))
 
     def _radius(self, theta: Floats) -> Floats:
         """Return the outline's distance from the centre, in any unit."""
@@ -246,7 +265,7 @@ class Rim:
 
     @cached_property
     def _extent(self) -> tuple[float, float, float]:
-        """Return the longest radius, half the largest width, and the edge's length over a circle's."""
+        """Return the longest radius, half the largest width, and the edge's length by the area, over a circle's."""
         if self.is_round:
             return 1.0, 1.0, 1.0
         edges = self.edges(OUTLINE_ARCS)
@@ -259,7 +278,7 @@ class Rim:
             np.linalg.norm(edge - np.roll(edge, 1, axis=0), axis=1).sum() for edge in edges
         )
         longest = np.max(np.linalg.norm(edges[0], axis=1))
-        return float(longest), float(width), float(length / FULL_TURN)
+        return float(longest), float(width), float(length / FULL_TURN / self.area)
 
     @property
     def longest(self) -> float:
@@ -273,8 +292,7 @@ class Rim:
 
     @property
     def halo(self) -> float:
-        """Length of all edges over the circumference of the circle of equal area: the light in the diffraction
-        halo.
+        """Length of all edges by the clear area, relative to a circle's: the light in the diffraction halo.
 
         P. J. Clark, J. W. Howard and E. R. Freniere, Appl. Opt. 23, 353 (1984).
         """

@@ -34,8 +34,8 @@ class FittedWavefront:
         mode that the data leave open
     f_number : working f-number
     f_number_std : its standard error, which enters lengths as if independent of the modes'
-    rim : of the pupil; the f-number is that of the circle of its clear area, over which the
-        modes are Noll's
+    rim : of the pupil; the f-number is that of the circle with the full pupil's clear area,
+        over which the modes are Noll's; a cat's eye cuts the full pupil
     spectrum : of the light, about its wavelength; all wavelengths have the same path
         difference, in length
     widest_nm : for an unknown spectrum, the largest standard deviation of the light that

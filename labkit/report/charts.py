@@ -395,7 +395,7 @@ CLEAR = "#e9e3cf"
 
 
 def pupil_chart(rim: Rim) -> Figure:
-    """The clear part of the pupil, the circle of equal area dashed, and the full pupil around it; y down as on the sensor."""
+    """The clear part of the pupil, dashed the circle of the f-number, and around it the full pupil; y down as on the sensor."""
     figure = Figure(figsize=(THIRD_IN, THIRD_IN))
     axes = figure.add_axes((0.03, 0.03, 0.94, 0.94))
     outlines = [

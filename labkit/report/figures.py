@@ -6,6 +6,7 @@ import numpy as np
 
 from labkit.figure_style import channel_inks, styled
 from labkit.optics.lens import defocus_waves
+from labkit.optics.rim import Rim
 from labkit.report import charts, pictures
 from labkit.report.charts import (
     budget_chart,
@@ -100,9 +101,16 @@ def _pupil(wavefront: Wavefront) -> Plate:
     caption = (
         "The pupil as found, x to the right along the sensor's rows, y down. Dashed: the circle of equal clear area, by which "
         f"the f-number is counted ({clear} at the sensor) and over which the modes are Zernike's; grey: the full pupil "
-        f"({outer}). RMS, Strehl ratio, MTF and diffraction limits are those of the clear part."
+        f"({outer}). {_vignetting(wavefront.rim)}RMS, Strehl ratio, MTF and diffraction limits are those of the clear part."
     )
     return Plate((drawing("pupil", pupil_chart(wavefront.rim), alt),), caption)
+
+
+def _vignetting(rim: Rim) -> str:
+    """Return a sentence on the light that a cat's eye leaves; empty without one."""
+    if rim.area == 1:
+        return ""
+    return f"A cat's eye leaves {rim.area:.0%} of the light; f-number and modes stay those of the pupil before the cut. "
 
 
 def _mtfs(results: Results, curves: Sequence[Curves]) -> Plate:

@@ -131,7 +131,7 @@ class Wavefront:
     poses: (frames, 8) of the target; gain: counts per electron; read_noise: counts. missing: parts of the camera that a model
     which does not explain the data seems to lack; residual_spectrum: of what it leaves. spectrum: of the light, about its
     wavelength, as the plan states it or the photographs call for it. rim: of the pupil; f-number and modes are those of the
-    circle with its clear area. tile: (row, column), None for the whole frame.
+    circle with the full pupil's clear area, which a cat's eye cuts. tile: (row, column), None for the whole frame.
     sign_open: whether the `twin`, whose even modes have the other sign, is as likely: from one range it always is.
 
     >>> w = labkit.Results.load("night-3")[3200, "G"]
@@ -225,12 +225,12 @@ class Wavefront:
 
     @property
     def working_f_number(self) -> Uncertain:
-        """Working f-number, by the pupil's clear area."""
+        """Working f-number, by the full pupil's clear area."""
         return Uncertain(self.f_number, self.f_number_std)
 
     @property
     def outer_f_number(self) -> Uncertain:
-        """Working f-number of the circle around the pupil, as if nothing cut or obstructed the pupil."""
+        """Working f-number of the circle around the pupil, as if nothing limited or obstructed the pupil."""
         return Uncertain(self.f_number / self.rim.outer, self.f_number_std / self.rim.outer)
 
     @property

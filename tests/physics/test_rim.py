@@ -16,7 +16,7 @@ from labkit.imaging.optics import Optics
 from labkit.imaging.parts import Blades, Obstruction, Part, UnevenRim, rim_of
 from labkit.optics.psf import OUTLINE_REACH, Pupil, diffraction_mtf, smooth_outline
 from labkit.optics.rim import ROUND, ROUND_RIM, Circle, Diaphragm, Rim
-from labkit.optics.zernike import twin_signs
+from labkit.optics.zernike import stretched, twin_signs
 from labkit.types import Complexes, Floats
 
 RADIUS = 60.3  # samples
@@ -96,9 +96,10 @@ def test_amplitudes_have_the_transforms_of_their_outlines(
     "rim",
     [HEXAGON, CAT, Rim((Diaphragm(9, 0.1, 0.6),), (0.05, -0.03, 0.02, 0.01), 0.2)],
 )
-def test_the_clear_area_is_that_of_the_circle(rim: Rim) -> None:
+def test_the_clear_area_is_that_of_the_circle_less_what_a_cats_eye_cuts(rim: Rim) -> None:
     _, clear = amplitude(rim)
-    assert clear.sum() == pytest.approx(np.pi * RADIUS**2, rel=1e-12)
+    assert clear.sum() == pytest.approx(np.pi * RADIUS**2 * rim.area, rel=1e-12)
+    assert (rim.area == 1) is (rim is not CAT)
 
 
 def test_blades_are_arcs_between_corners_on_the_circle() -> None:
@@ -134,8 +135,10 @@ def test_a_cats_eye_has_the_area_that_two_circles_share() -> None:
     theta = np.linspace(0, 2 * np.pi, 200001)[:-1]
     own = 0.5 * np.mean(CAT._radius(theta) ** 2) * 2 * np.pi
     assert own == pytest.approx(lens, rel=1e-8)
-    # the circle of equal area is smaller than the full pupil
-    assert CAT.longest == pytest.approx(np.sqrt(np.pi / lens), rel=1e-4)
+    assert CAT.area == pytest.approx(lens / np.pi, rel=1e-8)
+    # the unit is the full pupil's radius, on the far side of the cut
+    assert CAT.outer == pytest.approx(1, rel=1e-9)
+    assert CAT.longest == pytest.approx(1, rel=1e-8)
 
 
 def test_extents_are_those_of_polygons_and_rings() -> None:
@@ -163,6 +166,12 @@ def over_the_full_pupil(waves: dict[int, float], wider: float) -> list[float]:
         *(three * given[j] for j in (7, 8, 9, 10)),
         four * given[11],
     ]
+
+
+def test_modes_over_a_wider_circle_are_those_of_the_closed_form() -> None:
+    waves = {4: 0.4, 5: 0.05, 6: -0.02, 7: 0.08, 8: -0.05, 9: 0.04, 10: 0.01, 11: 0.03}
+    own = stretched(tuple(waves), np.array(list(waves.values())), 1.13)
+    np.testing.assert_allclose(own, over_the_full_pupil(waves, 1.13)[3:], atol=1e-14)
 
 
 def polygon(blades: int, turn: float) -> poppy.NgonAperture:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
 import numpy as np
+import pytest
 
 from labkit.estimation.local import Found, Guesses, Optimum
 from labkit.estimation.refits import Refits
@@ -65,7 +66,13 @@ def test_a_cats_eye_begins_from_the_uneven_rim_in_whose_place_it_is_fitted() -> 
     refits = Refits(cast(Searches, search), PLAN)
     refits({0: round_one}, NONE, UNEVEN)
     refits({0: round_one}, NONE, EYE)
-    optics, _ = search.wanted[0]
+    optics, guess = search.wanted[0]
     (eye,) = optics.parts
     assert eye.name == "cats_eye"
     assert np.hypot(*eye.values[:2]) > 0.09
+    # the same pupil: its unit is now the full pupil's radius
+    assert optics.rim.area < 0.95
+    assert guess.state is not None
+    wider = optics.rim.area**-0.5
+    assert optics.f_number * wider == pytest.approx(oval.optics.f_number, rel=1e-12)
+    assert guess.state.waves[1] == pytest.approx(oval.state.waves[1] * wider**2, rel=1e-9)
