@@ -209,8 +209,8 @@ TEXTS = {
     "camera-part-found": "the photographs show {part_words}, which the plan does not state: {values_words}",
     "light-contradicted": "the light that the plan names has another width than the photographs show: {list}",
     "higher-modes-found": (
-        "the photographs show Zernike modes {first_noll} to {last_noll}, {waves_words} waves RMS together, which were "
-        "fitted besides the usual modes"
+        "the photographs show Zernike modes {first_noll} to {last_noll}, {waves_words} RMS together, which were fitted "
+        "besides the usual modes"
     ),
     "camera-parts-missing": (
         "the photographs show {list}, which the model lacks and which would move {moves}; standard errors include this effect"

@@ -37,7 +37,7 @@ from labkit.report.table import (
 )
 from labkit.results import ColourShift, Results, Wavefront
 from labkit.results.tables import NOT_FITTED
-from labkit.results.verdicts import explained
+from labkit.results.verdicts import CONTRADICTIONS, explained
 from labkit.uncertain import Uncertain
 
 SECTIONS = {
@@ -199,13 +199,6 @@ def _names(wavefronts: Sequence[Wavefront]) -> str:
 
 
 CHI2_USUAL = (0.9, 1.5)
-
-CONTRADICTIONS = (
-    "plan-contradicted",
-    "cones-contradict-one-lens",
-    "pupil-magnification-at-bound",
-)
-"""Codes of findings that doubt what the plan states."""
 
 
 def _provenance(m: Results, plan: Plan) -> list[tuple[str, str]]:

@@ -212,7 +212,7 @@ class Results:
     @property
     def headline(self) -> str:
         """A sentence that says which numbers hold."""
-        return verdicts.headline(self.wavefronts)
+        return verdicts.headline(self.wavefronts, self.findings)
 
     def lens_rows(self) -> tables.Rows:
         """A heading, and a row of text for each channel: what the optics do at best focus."""

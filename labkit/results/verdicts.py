@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from math import nan
 
+from labkit.findings import Finding
 from labkit.results.model import OptimumTest, Wavefront
 from labkit.uncertain import Uncertain, decimals
 
@@ -14,6 +15,13 @@ MOST_NAMES = 6
 
 UNTESTED = "untested"
 EXPLAINS = "explains the photographs"
+
+CONTRADICTIONS = (
+    "plan-contradicted",
+    "cones-contradict-one-lens",
+    "pupil-magnification-at-bound",
+)
+"""Codes of findings that doubt what the plan states."""
 
 
 def optimum_word(test: OptimumTest | None) -> str:
@@ -44,12 +52,13 @@ def confirmed(wavefront: Wavefront, wavefronts: Sequence[Wavefront]) -> bool:
     return wavefront.accepted and len(ranges - {None}) > 1
 
 
-def headline(wavefronts: Sequence[Wavefront]) -> str:
+def headline(wavefronts: Sequence[Wavefront], findings: Collection[Finding] = ()) -> str:
     """Return a sentence that says which numbers hold.
 
     Parameters
     ----------
     wavefronts : all of the results
+    findings : all of the results
     """
     doubtful = [w for w in wavefronts if w.test is not None and not w.test.accepted]
     incomplete = [w for w in wavefronts if w.accepted and not explained(w)]
@@ -59,15 +68,10 @@ def headline(wavefronts: Sequence[Wavefront]) -> str:
         parts.append(
             f"do not use {_named(doubtful, wavefronts)}: the optimum is doubtful, and no error is known"
         )
-    if incomplete and len(wavefronts) > 1:
+    if incomplete:
         parts.append(
-            f"in {len(incomplete)} of {len(wavefronts)} fits the model is incomplete: defocus and best focus hold within their "
-            "errors; Strehl ratio, RMS and MTF50 are of the fitted modes alone"
-        )
-    elif incomplete:
-        parts.append(
-            "the optimum is found, but the model is incomplete, and no other range confirms the numbers: their errors are not "
-            "known"
+            f"in {len(incomplete)} of {len(wavefronts)} fits the model is incomplete"
+            + _holding(incomplete, wavefronts, findings)
         )
     if untested:
         parts.append(f"{_named(untested, wavefronts)}: the optimum is untested")
@@ -78,6 +82,28 @@ def headline(wavefronts: Sequence[Wavefront]) -> str:
     if is_open := [w for w in wavefronts if w.sign_open and w.accepted]:
         parts.append(f"the sign of even modes is open: {_named(is_open, wavefronts)}")
     return "; ".join(parts)
+
+
+def _holding(
+    incomplete: Sequence[Wavefront],
+    wavefronts: Sequence[Wavefront],
+    findings: Collection[Finding],
+) -> str:
+    """Return which numbers hold if the model is incomplete in some fits, as the end of a sentence.
+
+    Errors contain what a model lacks if ranges show it as their scatter about one lens, which then must not be in doubt.
+    """
+    if alone := [w for w in incomplete if not confirmed(w, wavefronts)]:
+        names = _named(alone, wavefronts)
+        return f", and no other range confirms {names}: errors are not known"
+    if any(finding.code in CONTRADICTIONS for finding in findings):
+        return ", and the fits contradict the plan: no number is sure to hold within its error; check the plan first"
+    if all(w.sign_open for w in incomplete):
+        return ", and no sign is known: no number is sure to hold within its error; check the plan first"
+    return (
+        ": defocus and best focus hold within their errors; Strehl ratio, RMS and MTF50 are of the fitted modes "
+        "alone"
+    )
 
 
 def explained(wavefront: Wavefront) -> bool:

@@ -32,7 +32,7 @@ main()
 """
 
 
-@pytest.mark.parametrize("name", ["typer", "labkit.cli.bench", "labkit.session.verify"])
+@pytest.mark.parametrize("name", ["typer", "labkit.cli.sessions", "labkit.session.verify"])
 def test_ctrl_c_while_something_is_imported_is_an_interrupt_as_any_other(
     name: str, tmp_path: Path
 ) -> None:

@@ -6,8 +6,10 @@ from math import isnan
 import numpy as np
 import pytest
 
-from labkit.results import Wavefront
+from labkit.findings import Finding
+from labkit.results import OptimumTest, Wavefront, verdicts
 from tests.results_samples import ACCEPTED, REJECTED, a_wavefront, some_results
+from tests.unit.test_findings import SAMPLES
 
 INCOMPLETE = replace(ACCEPTED, name="session", explains=False)
 UNDETERMINED = replace(REJECTED, undetermined=("mode 4",))
@@ -46,6 +48,42 @@ def test_the_headline_says_which_numbers_hold() -> None:
     is_open = some_results(wavefronts=(a_wavefront(sign_open=True),)).headline
     assert is_open.endswith("the sign of even modes is open: R at 3000 mm")
     assert said(REJECTED, REJECTED).startswith("do not use all 2 fits")
+
+
+@pytest.mark.parametrize("code", verdicts.CONTRADICTIONS)
+def test_no_error_of_an_incomplete_model_is_said_to_hold_where_the_plan_is_in_doubt(
+    code: str,
+) -> None:
+    (doubt,) = (one for one in SAMPLES if one.code == code)
+
+    def said(test: OptimumTest, *findings: Finding) -> str:
+        two = tuple(a_wavefront(3000.0 + k, test=test) for k in range(2))
+        return some_results(wavefronts=two, findings=findings).headline
+
+    assert "best focus hold within their errors" in said(INCOMPLETE)
+    assert "best focus hold" not in said(INCOMPLETE, doubt)
+    assert said(INCOMPLETE, doubt).endswith("check the plan first")
+    assert said(ACCEPTED, doubt) == said(ACCEPTED)
+
+
+def test_no_error_of_an_incomplete_model_is_said_to_hold_where_no_sign_is_known() -> None:
+    def said(*is_open: bool) -> str:
+        return some_results(
+            wavefronts=tuple(
+                a_wavefront(3000.0 + k, test=INCOMPLETE, sign_open=one)
+                for k, one in enumerate(is_open)
+            )
+        ).headline
+
+    assert "best focus hold within their errors" in said(False, True)
+    assert "best focus hold" not in said(True, True)
+
+
+def test_two_colours_at_one_range_confirm_no_error_of_an_incomplete_model() -> None:
+    colours = tuple(a_wavefront(3000.0, c, test=INCOMPLETE) for c in ("R", "B"))
+    headline = some_results(wavefronts=colours).headline
+    assert "errors are not known" in headline
+    assert "hold" not in headline
 
 
 def test_the_file_and_the_table_of_coefficients_mark_errors_that_are_not_known() -> None:
