@@ -97,9 +97,9 @@ def _holding(
         names = _named(alone, wavefronts)
         return f", and no other range confirms {names}: errors are not known"
     if any(finding.code in CONTRADICTIONS for finding in findings):
-        return ", and the fits contradict the plan: no number is sure to hold within its error; check the plan first"
+        return ", and the fits contradict the plan: no number is sure to hold within its error; check plan and modes first"
     if all(w.sign_open for w in incomplete):
-        return ", and no sign is known: no number is sure to hold within its error; check the plan first"
+        return ", and no sign is known: no number is sure to hold within its error; check plan and modes first"
     return (
         ": defocus and best focus hold within their errors; Strehl ratio, RMS and MTF50 are of the fitted modes "
         "alone"

@@ -62,7 +62,7 @@ def test_no_error_of_an_incomplete_model_is_said_to_hold_where_the_plan_is_in_do
 
     assert "best focus hold within their errors" in said(INCOMPLETE)
     assert "best focus hold" not in said(INCOMPLETE, doubt)
-    assert said(INCOMPLETE, doubt).endswith("check the plan first")
+    assert said(INCOMPLETE, doubt).endswith("check plan and modes first")
     assert said(ACCEPTED, doubt) == said(ACCEPTED)
 
 
