@@ -1,7 +1,8 @@
 """Errors over stated errors of golden sessions' results: `python -m benchmarks.golden_errors GOLDEN SESSION...`.
 
 GOLDEN is the folder of the truth files; a session's folder has the name of its truth. A line for each number: the largest error
-over standard error of its kind. Numbers beyond four are marked.
+over standard error of its kind. Numbers beyond four are marked. Ranges and channels without a fit are left out; where the sign
+is open, the twin that is nearer to the truth counts.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import Any
 import numpy as np
 
 import labkit
+from labkit.key import Key
 from labkit.optics.metrics import psf
 from labkit.results import Results, Wavefront
 from labkit.uncertain import Uncertain
@@ -56,6 +58,11 @@ def wavefront_errors(
     yield "Strehl ratio", z_of(strehl, strehl.value * true.max() / ours.value.max())
 
 
+def nearest_sign(w: Wavefront, waves: list[float]) -> Wavefront:
+    """Return the wavefront, or its twin if the sign is open and the twin is nearer to the truth."""
+    return w if not w.sign_open or w.waves[0] * waves[0] > 0 else w.twin
+
+
 def main() -> None:
     """Print the table."""
     golden, *sessions = map(Path, sys.argv[1:])
@@ -66,8 +73,11 @@ def main() -> None:
         worst: dict[str, float] = {}
         found = list(lens_errors(results, truth))
         for frame in truth["frames"]:
-            w = results[frame["range_mm"], frame["channel"]]
+            key = Key(frame["range_mm"], frame["channel"])
+            if key not in {w.key for w in results.wavefronts}:
+                continue
             waves = [frame["defocus_waves"], *frame["alpha"].values()]
+            w = nearest_sign(results[key], waves)
             found += wavefront_errors(w, waves, images[str(w.key)], truth["psf_spacing_um"])
         for name, z in found:
             worst[name] = max(worst.get(name, 0.0), z, key=abs)
