@@ -300,7 +300,7 @@ class Moves:
     def __str__(self) -> str:
         words = [
             f"wavefronts by up to {self.waves:.2g} waves RMS",
-            f"PSFs by up to {100 * self.psf_l1:.2g} % (L1)",
+            f"PSFs by up to {_percent(self.psf_l1)} % (L1)",
         ]
         focus = ", ".join(f"{name} {mm:+.2g} mm" for name, mm in self.best_focus_mm.items())
         return ", ".join([f"best focus by {focus}", *words] if focus else words)
@@ -459,6 +459,11 @@ def unanswered(findings: Collection[Finding]) -> str | None:
         "; ".join(finding.text for finding in findings if finding.code in UNANSWERED_CODES)
         or None
     )
+
+
+def _percent(share: float) -> str:
+    """Return a share in percent, with two significant digits and no power of ten."""
+    return f"{float(f'{100 * share:.2g}'):g}"
 
 
 def _at(range_mm: float | None) -> str:

@@ -18,7 +18,7 @@ from labkit.estimation.residuals import Verdict
 from labkit.estimation.scores import ScoreTest
 from labkit.estimation.searches import Task
 from labkit.estimation.session import estimate
-from labkit.estimation.together import Together, TogetherTask, climb_together
+from labkit.estimation.together import TogetherTask, climb_together
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
 from labkit.plan import Plan
@@ -139,7 +139,7 @@ class Play:
     """
 
     ends: Callable[[Task], Found | None] = right
-    together: Callable[[TogetherTask], Together | None] = lambda task: None
+    together: Callable[[TogetherTask], tuple[Floats, ...] | None] = lambda task: None
     order: Callable[[int], Sequence[int]] = range
     batches: list[list[Task]] = field(default_factory=list)
     climbs: list[TogetherTask] = field(default_factory=list)

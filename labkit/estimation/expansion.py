@@ -104,11 +104,15 @@ class Expansion:
         ----------
         precision : (camera,) inverse variances of the camera parameters' prior
         """
+        covariance = inverse(self.stiffened(precision))
+        return covariance @ self.gradient, covariance
+
+    def stiffened(self, precision: Floats) -> Floats:
+        """Return the information (p, p) with a prior on the camera parameters, by its inverse variances (camera,)."""
         at = np.arange(self.camera.start, self.camera.stop)
         information = self.information.copy()
         information[at, at] += precision
-        covariance = inverse(information)
-        return covariance @ self.gradient, covariance
+        return information
 
     @cached_property
     def _optimum(self) -> tuple[Floats, Floats]:
@@ -264,9 +268,13 @@ class _Opened(Position):
         """Log-likelihood of frames, noise calibration and camera; -inf at implausible positions."""
         if not self.at.relative:
             return -np.inf
-        away = self.problem.model.optics.camera_parameters - self.given
-        prior = -0.5 * float(self.precision @ away**2)
+        prior = -0.5 * float(self.precision @ self._away**2)
         return self.problem.objective(self.at.state, self.at.relative) + prior
+
+    @property
+    def _away(self) -> Floats:
+        """Distance (camera,) of the camera parameters from their prior's mean."""
+        return self.problem.model.optics.camera_parameters - self.given
 
     @cached_property
     def expansion(self) -> Expansion:
@@ -276,12 +284,9 @@ class _Opened(Position):
         return expansion
 
     def step(self, damping: float) -> Step:
-        expansion, at = self.expansion, self.expansion.camera
-        information, gradient = expansion.information.copy(), expansion.gradient.copy()
-        places = np.arange(at.start, at.stop)
-        information[places, places] += self.precision
-        away = expansion.optics.camera_parameters - self.given
-        gradient[at] -= self.precision * away
+        expansion, gradient = self.expansion, self.expansion.gradient.copy()
+        information = expansion.stiffened(self.precision)
+        gradient[expansion.camera] -= self.precision * self._away
         damped = information + np.diag(damping * np.diag(information))
         covariance = inverse(damped)
         change = expansion.within(covariance @ gradient, covariance)

@@ -74,8 +74,8 @@ class Settings:
     slopes_stds: float = 1.0
     """Standard errors: the picture after a shorter last step is predicted from slopes, not drawn."""
     newton_rounds: int = 25
-    """Largest number of Newton's steps: six suffice for an f-number off by 12 %, two or three for 3 %; a cut pupil with
-    forty numbers takes twenty."""
+    """Largest number of Newton's steps: six suffice for an f-number off by 12 %, two or three for 3 %; on
+    `corner-open`, with forty numbers, climbs took 3 to 24, and three of eighteen ended at this limit."""
     f_number_margin: float = 0.06
     """Relative change of the f-number, two standard errors of an engraving, that a model allows without being rebuilt."""
     narrow_window: float = 0.8

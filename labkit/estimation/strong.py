@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -53,16 +53,21 @@ class StrongSearch:
         if not _contradictory(list(best.values())):
             return None
         choice = parts | set(self.plan.fit.mode_groups)
+        stations, begun = self._stations(found), list[Floats]()
+        optics, f_number_std = self._optics(stations, choice)
         reached = dict[int, Found]()
         for rank in range(SETTINGS.tried):
-            ends = self._searched(self._stations(found), choice, rank)
-            rise = _height(ends) - _height(reached)
-            if rise > 0:
+            waves = self._together(stations, optics, rank)
+            if waves is None or _known(waves[0], begun):
+                break
+            begun.append(waves[0])
+            ends = self._searched(stations, optics, f_number_std, waves)
+            if _height(ends) > _height(reached):
                 reached = ends
             optima = [one.best for one in reached.values()]
-            returned = abs(rise) < SETTINGS.same_optimum * len(ends)
-            explained = all(one.verdict.accepted for one in optima)
-            if returned or explained or _agree(optima, SETTINGS.sure_waves):
+            if all(one.verdict.accepted for one in optima) or _agree(
+                optima, SETTINGS.sure_waves
+            ):
                 break
         gain = sum(
             reached[k].best.log_likelihood - best[k].log_likelihood
@@ -88,38 +93,28 @@ class StrongSearch:
         ).round()
         return [ordered[int(place)] for place in places]
 
-    def _searched(self, stations: list[int], choice: Parts, rank: int) -> dict[int, Found]:
-        """Climb over several stations at once, then over each alone from there."""
+    def _optics(self, stations: list[int], choice: Parts) -> tuple[Optics, float]:
+        """Return the stated optics with parts and modes, and the f-number's relative standard error."""
+        f_number = nominal_f_number(self.plan, self._ranges_mm(stations).tolist())
+        optics = optics_of(self.plan, self.search.observations[stations[0]].channel)
+        optics = replace(optics.with_parts(choice).begun(), f_number=f_number.value)
+        return optics, f_number.std / f_number.value
+
+    def _ranges_mm(self, stations: list[int]) -> Floats:
+        """Return the ranges (stations,)."""
         observations = self.search.observations
-        ranges = np.array([observations[k].measured_range_mm or 0.0 for k in stations])
-        channel = observations[stations[0]].channel
-        optics = optics_of(self.plan, channel).with_parts(choice).begun()
-        f_number = nominal_f_number(self.plan, ranges.tolist())
-        optics = replace(optics, f_number=f_number.value)
-        waves = self._together(stations, optics, ranges, rank)
-        if waves is None:
-            return {}
-        blind = with_tests(
-            Guesses(f_number.std / f_number.value, deep=False, alone=False),
-            optics,
-            self.plan,
-        )
-        wanted = {
-            k: (optics, replace(blind, starts=(one,)))
-            for k, one in zip(stations, waves, strict=True)
-        }
-        return self.search(wanted, "fitting strong wavefronts")
+        return np.array([observations[k].measured_range_mm or 0.0 for k in stations])
 
     def _together(
-        self, stations: list[int], optics: Optics, ranges_mm: Floats, rank: int
+        self, stations: list[int], optics: Optics, rank: int
     ) -> tuple[Floats, ...] | None:
         """Return the end of a climb over several stations; None if it was lost for lack of memory."""
         lens = ThinLens(self.plan.lens.focal_length_mm, self.plan.lens.f_number)
+        ranges_mm = self._ranges_mm(stations)
         defocus = defocus_waves(lens, ranges_mm, ranges_mm[0], optics.reference_um * 1e3)
-        channel = self.search.observations[stations[0]].channel
         task = TogetherTask(
             optics,
-            self.search.shown[channel],
+            self.search.shown[self.search.observations[stations[0]].channel],
             tuple(self.search.views[k] for k in stations),
             tuple(defocus.tolist()),
             rank,
@@ -128,7 +123,28 @@ class StrongSearch:
             ((_, end),) = self.search.run(climb_together, [task])
         except LostTasksError:
             return None
-        return end.waves
+        return end
+
+    def _searched(
+        self,
+        stations: list[int],
+        optics: Optics,
+        f_number_std: float,
+        waves: Sequence[Floats],
+    ) -> dict[int, Found]:
+        """Climb over each station alone, from its wavefront (modes,) by the common climb."""
+        blind = Guesses(f_number_std, deep=False, alone=False)
+        blind = with_tests(blind, optics, self.plan)
+        wanted = {
+            k: (optics, replace(blind, starts=(one,)))
+            for k, one in zip(stations, waves, strict=True)
+        }
+        return self.search(wanted, "fitting strong wavefronts")
+
+
+def _known(waves: Floats, others: Sequence[Floats]) -> bool:
+    """Whether a wavefront (modes,) is one of others. Steps between stations give it its sign, so no twin counts."""
+    return any(np.linalg.norm(waves - one) < SETTINGS.sure_waves for one in others)
 
 
 def _contradictory(optima: list[Optimum]) -> bool:

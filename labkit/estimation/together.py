@@ -56,20 +56,13 @@ class TogetherTask:
     rank: int
 
 
-@dataclass(frozen=True)
-class Together:
-    """The end of a climb over several stations.
+def climb_together(task: TogetherTask) -> tuple[Floats, ...]:
+    """Climb from one of the likeliest best foci, all modes but defocus from zero.
 
-    Attributes
-    ----------
-    waves : (modes,) of each station, waves RMS
+    Returns
+    -------
+    (modes,) of each station, waves RMS
     """
-
-    waves: tuple[Floats, ...]
-
-
-def climb_together(task: TogetherTask) -> Together:
-    """Climb from one of the likeliest best foci, all modes but defocus from zero."""
     say(f"several ranges at once, start {task.rank + 1}")
     optics = task.optics.in_one_wavelength()
     sketches = [
@@ -87,7 +80,7 @@ def climb_together(task: TogetherTask) -> Together:
         max_steps=SETTINGS.strong_steps,
         damping=SETTINGS.first_damping,
     )
-    return Together(tuple(state.waves for state in end.states))
+    return tuple(state.waves for state in end.states)
 
 
 def _from_best_focus(
@@ -106,19 +99,18 @@ def _from_best_focus(
     # no focus is on a station: without any defocus all even modes have no slopes
     foci = np.arange(min(defocus) - beyond, max(defocus) + beyond, step) + step / 3
     tried = list[tuple[float, float, list[State]]]()
-    begun = [
-        (one.wide, one.wide.draw(state), state)
-        for one in sketches
-        if (state := first_state(one.frame, one.pose, one.noise, len(optics.noll)))
-    ]
+    firsts = [first_state(s.frame, s.pose, s.noise, len(optics.noll)) for s in sketches]
+    drawings = [s.wide.draw(first) for s, first in zip(sketches, firsts, strict=True)]
     for focus in foci:
         lit = [
             fitted_light(
-                problem,
+                sketch.wide,
                 replace(first, waves=np.append(at - focus, np.zeros(first.waves.size - 1))),
                 drawing,
             )
-            for (problem, drawing, first), at in zip(begun, defocus, strict=True)
+            for sketch, first, drawing, at in zip(
+                sketches, firsts, drawings, defocus, strict=True
+            )
         ]
         tried.append(
             (sum(misfit for misfit, _ in lit), float(focus), [state for _, state in lit])

@@ -203,9 +203,9 @@ class FittedWavefront:
 def at_focus(wavefront: FittedWavefront) -> FittedWavefront:
     """Return the wavefront at best focus: without Noll 4, and without its errors.
 
-    Best focus is the focus of zero Noll defocus, that is of least RMS. To second order in
-    the other modes it also has the highest Strehl ratio; with strong higher orders the two
-    differ.
+    Best focus is the focus of zero Noll defocus, in a round clear pupil that of least RMS. To
+    second order in the other modes it also has the highest Strehl ratio; with strong higher
+    orders, or in a pupil of another shape, the two differ.
     """
     return wavefront.without((DEFOCUS,))
 

@@ -238,7 +238,7 @@ def _provenance(m: Results, plan: Plan) -> list[tuple[str, str]]:
         ),
         (
             "Best focus",
-            "zero Noll defocus, the focus of least RMS; no depth of field or through-focus curve enters it",
+            "zero Noll defocus, of least RMS in a round clear pupil; no depth of field or through-focus curve enters it",
         ),
         (
             "Signs",

@@ -144,7 +144,7 @@ def depth_table(curves: Sequence[Curves], results: Results) -> Table:
         return _place(curve.placed(getattr(curve.depth, which), focus_std))
 
     rows = (
-        row("Best focus: least RMS", unit, lambda c: _best(c, errors)),
+        row("Best focus: no defocus", unit, lambda c: _best(c, errors)),
         row("Highest Strehl ratio at", unit, lambda c: at(c, "highest"), beside=True),
         row("Depth of focus from", unit, lambda c: at(c, "near"), first=True),
         row("to", unit, lambda c: at(c, "far")),

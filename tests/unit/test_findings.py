@@ -268,6 +268,7 @@ def test_how_far_results_move_is_told_in_numbers_and_in_words() -> None:
     assert stated.numbers == {"rejected_optima": 1, "optima": 4} | moved
     assert stated.text.endswith(f"{words}; 1 of 4 optima would be rejected")
     assert "best focus" not in str(Moves({}, 0.013, 0.031))
+    assert "by up to 110 % (L1)" in str(Moves({}, 0.013, 1.054))
 
 
 def test_a_part_is_told_with_its_numbers() -> None:

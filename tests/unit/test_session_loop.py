@@ -15,8 +15,9 @@ from labkit.estimation.searches import Task
 from labkit.estimation.session import estimate
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.split import second_camp
-from labkit.estimation.together import Together, TogetherTask
+from labkit.estimation.together import TogetherTask
 from labkit.plan import Plan
+from labkit.types import Floats
 from tests.lens_samples import best_focus
 from tests.optimum_samples import (
     ASTIGMATISM,
@@ -239,9 +240,9 @@ def at_odds(task: Task) -> Found:
     )
 
 
-def climbed(task: TogetherTask, astigmatism: float) -> Together:
+def climbed(task: TogetherTask, astigmatism: float) -> tuple[Floats, ...]:
     """The end of a climb with an amount of astigmatism."""
-    return Together(tuple(np.array([at, astigmatism]) for at in task.defocus))
+    return tuple(np.array([at, astigmatism]) for at in task.defocus)
 
 
 def test_ends_that_contradict_each_other_are_searched_with_a_range_between() -> None:
@@ -257,21 +258,28 @@ def test_ends_that_contradict_each_other_are_searched_with_a_range_between() -> 
     assert not any(task.guesses.deep for batch in play.batches for task in batch)
 
 
-@pytest.mark.parametrize(("scatter", "climbs"), [(0.0, 1), (STRONG, 3)])
-def test_climbs_over_several_ranges_begin_at_other_foci_until_the_ranges_agree(
-    scatter: float, climbs: int
+@pytest.mark.parametrize(
+    ("scatter", "apart", "climbs", "fitted"),
+    [(0.0, STRONG, 1, 1), (STRONG, STRONG, 3, 3), (STRONG, 0.0, 2, 1)],
+    ids=["ranges agree", "other ends", "the same end"],
+)
+def test_climbs_over_several_ranges_begin_at_other_foci_until_the_ranges_or_the_ends_agree(
+    scatter: float, apart: float, climbs: int, fitted: int
 ) -> None:
     """Where all agree, the model is poor. Where no likelihood rises, the search goes on as before."""
 
-    def wrong(task: TogetherTask) -> Together:
-        first = -STRONG * (1 + task.rank)
-        return Together(
-            tuple(np.array([at, first + k * scatter]) for k, at in enumerate(task.defocus))
+    def wrong(task: TogetherTask) -> tuple[Floats, ...]:
+        first = -STRONG - apart * task.rank
+        return tuple(
+            np.array([at, first + k * scatter]) for k, at in enumerate(task.defocus)
         )
 
     play = Play(at_odds, together=wrong)
     played(play)
     assert [climb.rank for climb in play.climbs] == list(range(climbs))
+    strong = ["G at 2900 mm", "G at 3100 mm", "G at 3200 mm"]
+    assert play.labels[1 : 1 + fitted] == [strong] * fitted
+    assert play.labels[1 + fitted] != strong
     assert any(task.guesses.deep for batch in play.batches for task in batch)
 
 
