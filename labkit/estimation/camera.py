@@ -143,6 +143,34 @@ def _far(name: str) -> bool:
     return name in KNOWN and KNOWN[name].far
 
 
+@dataclass(frozen=True)
+class Fitted:
+    """Fits of some observations with a choice of parts, by observation."""
+
+    parts: Parts
+    ends: Mapping[int, Optimum]
+
+    def gain(self, before: Fitted) -> float:
+        """Return the log-likelihood gained over earlier fits of these observations."""
+        return sum(
+            end.log_likelihood - before.ends[k].log_likelihood
+            for k, end in self.ends.items()
+        )
+
+    def net_gain(self, before: Fitted) -> float:
+        """Return the gain less what the parts cost in addition."""
+        return self.gain(before) - cost(self.parts) + cost(before.parts)
+
+    def better(self, before: Fitted) -> bool:
+        """Whether parts gain more than they cost, and added parts explain a further fit or their share."""
+        gain = self.net_gain(before)
+        if gain <= 0 or not self.parts - before.parts:
+            return gain > 0
+        fits = [before.ends[k] for k in self.ends]
+        explains_more = _explained(self.ends.values()) > _explained(fits)
+        return explains_more or gain > _least_gain(fits)
+
+
 @dataclass
 class CameraChoice:
     """The search for a session's camera parts.
@@ -151,6 +179,7 @@ class CameraChoice:
     ----------
     refit : refits observations, each from its optimum, with a choice of parts
     wanted : parts that the plan requests to fit, which always stay
+    channels : channel of each observation
     tried : parts that were tested for, with their gains
     missing : the significant part that was refused because it explains too little of the residuals
     with_missing : fits with the missing part
@@ -158,74 +187,74 @@ class CameraChoice:
 
     refit: Refit
     wanted: Parts
+    channels: Sequence[str]
     tried: list[PartTried] = field(default_factory=list)
     missing: tuple[str, ...] = ()
-    with_missing: dict[int, Optimum] = field(default_factory=dict)
+    with_missing: Mapping[int, Optimum] = field(default_factory=dict)
 
-    def chosen(self, fits: Mapping[int, tuple[str, Optimum]], parts: Parts) -> Parts:
+    def chosen(self, ends: Mapping[int, Optimum], parts: Parts) -> Parts:
         """Find the parts that raise the penalised likelihood most, step by step.
 
         Parameters
         ----------
-        fits : channel and optimum of each fit
+        ends : fits, by observation
         parts : parts in the fits' model in addition to the plan's
         """
-        best, ends, refused = parts, dict(fits), set[Parts]()
+        best, refused = Fitted(parts, ends), set[Parts]()
         while True:
-            for choice, telling in self._trials(ends, best, refused):
-                reached = self._reached(ends, best, choice, telling)
+            for trial in self._trials(best, refused):
+                reached = self._reached(best, trial)
                 if reached is not None:
-                    best, ends = choice, reached
+                    best = reached
                     break
-                refused.add(choice)
+                refused.add(trial.parts)
             else:
-                return best
+                return best.parts
 
-    def _trials(
-        self, ends: Mapping[int, tuple[str, Optimum]], parts: Parts, refused: set[Parts]
-    ) -> Iterator[tuple[Parts, dict[int, Optimum]]]:
-        """Yield choices that raise the penalised likelihood of the most telling fits, with these fits; add others to `refused`.
+    def _trials(self, present: Fitted, refused: set[Parts]) -> Iterator[Fitted]:
+        """Yield the most telling fits with parts that raise their penalised likelihood; add other choices to `refused`.
 
         A score is an approximation, which is poor for numbers far from 0. So a choice that does not explain the fits is
         compared with the next ones of other kinds, and the best choice comes first.
         """
         while True:
-            trials = list[tuple[float, Parts, dict[int, Optimum]]]()
+            trials = list[tuple[float, Fitted]]()
             kinds = set[str]()
-            for choice in self._proposals(ends, parts):
-                added = choice - parts
+            for choice in self._proposals(present):
+                added = choice - present.parts
                 if choice in refused or {kind(name) for name in added} & kinds:
                     continue
-                fits = dict(self.refit(self._telling(ends, choice ^ parts), choice))
-                gain = self._gain(ends, fits) - cost(choice) + cost(parts)
+                telling = _telling(present.ends, choice ^ present.parts)
+                trial = Fitted(choice, self.refit(telling, choice))
+                gain = trial.net_gain(present)
                 if gain <= 0:
                     refused.add(choice)
                     continue
-                trials.append((gain, choice, fits))
+                trials.append((gain, trial))
                 kinds |= {kind(name) for name in added}
-                explained = _explained(fits.values()) == len(fits)
+                explained = _explained(trial.ends.values()) == len(trial.ends)
                 if explained or not added or len(trials) == SETTINGS.tried:
                     break
             if not trials:
                 return
-            for _, choice, fits in sorted(trials, key=lambda trial: -trial[0]):
-                yield choice, fits
+            for _, trial in sorted(trials, key=lambda one: -one[0]):
+                yield trial
 
-    def _proposals(
-        self, ends: Mapping[int, tuple[str, Optimum]], parts: Parts
-    ) -> Iterator[Parts]:
+    def _proposals(self, present: Fitted) -> Iterator[Parts]:
         """Propose other choices of parts, the most promising first."""
-        fits = list(ends.values())
-        tests = summed_score_tests(fits)
+        fits, parts = list(present.ends.values()), present.parts
+        tests = summed_score_tests(
+            [(self.channels[k], one) for k, one in present.ends.items()]
+        )
         self.tried = [one for one in self.tried if one.name not in tests]
         self.tried += [PartTried(name, test.gain, False) for name, test in tests.items()]
-        losses = wald_losses([optimum.measured for _, optimum in fits])
+        losses = wald_losses([fit.measured for fit in fits])
         for name in sorted(parts & losses.keys(), key=lambda one: losses[one]):
             if losses[name] < cost(parts) - cost(parts - {name}):
                 yield parts - {name}
         for name in TESTED_IN_PLACE.keys() & parts:
             yield (parts - {name}) | {TESTED_IN_PLACE[name]}
-        least = _least_gain([optimum for _, optimum in fits])
+        least = _least_gain(fits)
         net = {
             name: test.gain - cost(extended(parts, name)) + cost(parts)
             for name, test in tests.items()
@@ -234,81 +263,38 @@ class CameraChoice:
         for name in sorted(net, key=lambda one: (not (least and _far(one)), -net[one])):
             if net[name] > 0:
                 yield extended(parts, name)
-        for name in [one for one in ALIKE_BLURS if one in parts]:
-            more_common = [
-                one for one in ALIKE_BLURS[: ALIKE_BLURS.index(name)] if one in tests
-            ]
-            for one in more_common:
-                yield (parts - {name}) | {one}
-            if len(more_common) > 1 and sum(
-                len(KNOWN[one].labels) for one in more_common
-            ) <= len(KNOWN[name].labels):
+        for k, name in enumerate(ALIKE_BLURS):
+            if name not in parts:
+                continue
+            more_common = [one for one in ALIKE_BLURS[:k] if one in tests]
+            yield from ((parts - {name}) | {one} for one in more_common)
+            numbers = sum(len(KNOWN[one].labels) for one in more_common)
+            if len(more_common) > 1 and numbers <= len(KNOWN[name].labels):
                 yield (parts - {name}) | set(more_common)
 
-    def _reached(
-        self,
-        ends: Mapping[int, tuple[str, Optimum]],
-        parts: Parts,
-        choice: Parts,
-        telling: Mapping[int, Optimum],
-    ) -> dict[int, tuple[str, Optimum]] | None:
-        """Return the fits with another choice of parts, or None if the penalised likelihood does not rise.
-
-        Parameters
-        ----------
-        ends, parts : the present fits, and the parts in their model
-        choice : the other parts
-        telling : fits with the other parts that are made already
-        """
-        rest = [k for k in ends if k not in telling]
-        fits = {**telling, **self.refit(rest, choice)}
-        added = choice - parts
-        if self._better(ends, fits, parts, choice):
-            self.tried = [one for one in self.tried if one.name not in choice]
-            self.tried += [
-                PartTried(name, self._gain(ends, fits), True) for name in sorted(choice)
-            ]
-            self.missing = tuple(name for name in self.missing if name not in choice)
-            return {k: (ends[k][0], fits.get(k, ends[k][1])) for k in ends}
-        if added and self._gain(ends, fits) > cost(added):
-            self.missing, self.with_missing = tuple(sorted(added)), fits
+    def _reached(self, present: Fitted, trial: Fitted) -> Fitted | None:
+        """Return all fits with the parts of a trial, or None if the penalised likelihood does not rise."""
+        parts = trial.parts
+        rest = [k for k in present.ends if k not in trial.ends]
+        whole = Fitted(parts, {**trial.ends, **self.refit(rest, parts)})
+        added, gain = parts - present.parts, whole.gain(present)
+        if whole.better(present):
+            self.tried = [one for one in self.tried if one.name not in parts]
+            self.tried += [PartTried(name, gain, True) for name in sorted(parts)]
+            self.missing = tuple(name for name in self.missing if name not in parts)
+            return Fitted(parts, {**present.ends, **whole.ends})
+        if added and gain > cost(added):
+            self.missing, self.with_missing = tuple(sorted(added)), whole.ends
         return None
 
-    def _telling(self, ends: Mapping[int, tuple[str, Optimum]], names: Parts) -> list[int]:
-        """Return the fits with the most significant score tests, or estimates, of some parts."""
 
-        leading = [name for name in names if name not in MODE_GROUPS]
-        leading += [name for name in MODE_GROUPS if name in names][-1:]
+def _telling(ends: Mapping[int, Optimum], names: Parts) -> list[int]:
+    """Return the observations with the most significant score tests, or estimates, of some parts."""
+    leading = [name for name in names if name not in MODE_GROUPS]
+    leading += [name for name in MODE_GROUPS if name in names][-1:]
 
-        def shown(k: int) -> float:
-            optimum = ends[k][1]
-            losses = wald_losses([optimum.measured])
-            return sum(
-                optimum.scores[n].gain if n in optimum.scores else losses.get(n, 0.0)
-                for n in leading
-            )
+    def shown(k: int) -> float:
+        scores, losses = ends[k].scores, wald_losses([ends[k].measured])
+        return sum(scores[n].gain if n in scores else losses.get(n, 0.0) for n in leading)
 
-        return sorted(ends, key=lambda k: -shown(k))[: SETTINGS.tried]
-
-    @staticmethod
-    def _gain(
-        ends: Mapping[int, tuple[str, Optimum]], fits: Mapping[int, Optimum]
-    ) -> float:
-        return sum(
-            fit.log_likelihood - ends[k][1].log_likelihood for k, fit in fits.items()
-        )
-
-    def _better(
-        self,
-        ends: Mapping[int, tuple[str, Optimum]],
-        fits: Mapping[int, Optimum],
-        parts: Parts,
-        choice: Parts,
-    ) -> bool:
-        """Whether fits with other parts gain more than the parts' cost, and explain a further fit or their share."""
-        gain = self._gain(ends, fits) - cost(choice) + cost(parts)
-        if gain <= 0 or not choice - parts:
-            return gain > 0
-        before = [ends[k][1] for k in fits]
-        explains_more = _explained(fits.values()) > _explained(before)
-        return explains_more or gain > _least_gain(before)
+    return sorted(ends, key=lambda k: -shown(k))[: SETTINGS.tried]

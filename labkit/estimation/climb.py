@@ -111,7 +111,7 @@ def climb(
         step = here.step(damping)
         slowed = min(1.0, step.length / before) if before else 1.0
         left = step.length * max(slowed, step.shortened)
-        near = left < tolerance and step.length < SETTINGS.slopes_stds
+        near = left < tolerance and step.length < 1
         foreseen = here.foreseen(step.change) if near else None
         there = foreseen or here.moved(step.change)
         gained = there.objective - here.objective

@@ -235,7 +235,7 @@ def free_f_number(problem: Problem, start: Start, f_number_std: float) -> Freed:
     end, steps, converged = climb(
         _Opened(problem, problem.drawn(start.state), start.state, *prior, exact=False),
         tolerance=SETTINGS.settled_stds,
-        max_steps=SETTINGS.newton_rounds,
+        max_steps=SETTINGS.most_steps,
         damping=0.0,
     )
     return end.freed(steps, converged)

@@ -101,8 +101,8 @@ def refit_jointly(
     first = lens = session.lens
     places = _optima(session)
     likelihoods = list[float]()
-    for done in range(SETTINGS.newton_rounds):
-        progress(done, SETTINGS.newton_rounds, "climbing jointly")
+    for done in range(SETTINGS.most_steps):
+        progress(done, SETTINGS.most_steps, "climbing jointly")
         before = lens
         places = _all_reached(session, targets, lens, places, run)
         prior_chi2 = lens.solved.chi2 - lens.solved.data.chi2(lens.solved.rest)

@@ -119,10 +119,15 @@ class Laws:
 
     def rough(self) -> Laws:
         """Return laws tolerant of every error that is too small for another optimum."""
+        rough = SETTINGS.mode_scatter_waves[0]
+
+        def rougher(scatter: float) -> float:
+            return float(np.hypot(scatter, rough))
+
         return replace(
             self,
-            mode_scatter=float(np.hypot(self.mode_scatter, SETTINGS.rough)),
-            defocus_scatter=float(np.hypot(self.defocus_scatter, SETTINGS.rough)),
-            f_number_scatter=float(np.hypot(self.f_number_scatter, SETTINGS.rough)),
-            size_scatter=float(np.hypot(self.size_scatter, SETTINGS.rough)),
+            mode_scatter=rougher(self.mode_scatter),
+            defocus_scatter=rougher(self.defocus_scatter),
+            f_number_scatter=rougher(self.f_number_scatter),
+            size_scatter=rougher(self.size_scatter),
         )

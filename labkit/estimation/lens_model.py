@@ -277,7 +277,7 @@ class LensModel:
             F_NUMBER: column.value,
             RANGE_ZERO: max(reading.range_mm for reading in self.readings),
         }
-        return replace(column, std=SETTINGS.mistake * unit.get(column.kind, 1.0))
+        return replace(column, std=SETTINGS.loose * unit.get(column.kind, 1.0))
 
     def _columns(self) -> Iterator[Column]:
         stated = self.stated
@@ -311,7 +311,7 @@ class LensModel:
                 yield Column(MODE, SETTINGS.colour_modes_std, name=(channel, j))
         for kind, name in ONLY_MISTAKEN:  # last: other columns keep their places
             if (kind, name) == self.laws.mistaken:
-                yield Column(kind, SETTINGS.mistake)
+                yield Column(kind, SETTINGS.loose)
 
     @cached_property
     def _map(self) -> tuple[Floats, Floats, Floats]:

@@ -75,6 +75,6 @@ def with_doubts(lens: LensFit) -> LensFit:
         return lens
     every = models(lens)
     ((right, plain),) = (one for one in every if one[1].model.laws.mistaken is None)
-    likeliest = plain if right > 1 - SETTINGS.mistake_sure else every[0][1]
+    likeliest = plain if right > SETTINGS.mistake_odds else every[0][1]
     others = tuple(one for one in every if one[1] is not likeliest)
     return replace(likeliest, others=others)

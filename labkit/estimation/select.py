@@ -430,10 +430,11 @@ def _misfit(model: LensModel, ranges: Floats, values: Floats, like: Floats | Non
     focus = crossing(ranges, values[:, model.defocus], model)
     focal_mm = model.stated.focal_length.value
     line = focus_slope(model) * (1 / (ranges - focal_mm) - 1 / (focus - focal_mm))
-    slack = SETTINGS.rough**2 + (0.1 * line) ** 2  # the slope is known to some 6 %
+    rough = SETTINGS.mode_scatter_waves[0]
+    slack = rough**2 + (0.1 * line) ** 2  # the slope is known to some 6 %
     modes = np.delete(values[:, : len(model.noll)], model.defocus, axis=1)
     cost = (values[:, model.defocus] - line) ** 2 / slack
-    cost += np.sum((modes - np.median(modes, axis=0)) ** 2, axis=1) / SETTINGS.rough**2
+    cost += np.sum((modes - np.median(modes, axis=0)) ** 2, axis=1) / rough**2
     if like is not None:
         cost += (
             np.sum((modes - np.delete(like, model.defocus)) ** 2, axis=1)

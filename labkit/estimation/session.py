@@ -102,7 +102,9 @@ class _Loop:
         self.alone = len({self.observations[k].measured_range_mm for k in self.ranged}) < 2
         self.nominal_f_number = nominal_f_number(self.plan, ranges)
         self.refits = Refits(self.search, self.plan)
-        self.camera = CameraChoice(self._with_parts, Parts(wanted_parts(self.plan)))
+        channels = [o.channel for o in self.observations]
+        wanted = Parts(wanted_parts(self.plan))
+        self.camera = CameraChoice(self._with_parts, wanted, channels)
 
     @property
     def _noll(self) -> tuple[int, ...]:
@@ -366,11 +368,11 @@ class _Loop:
             or not self.found
         ):
             return
-        fits = {k: (self.observations[k].channel, self.chosen(k)) for k in self.found}
+        fits = {k: self.chosen(k) for k in self.found}
         if len(self.found) < len(self.observations):
-            explained = {k: fit for k, fit in fits.items() if fit[1].verdict.accepted}
+            explained = {k: fit for k, fit in fits.items() if fit.verdict.accepted}
             fits = explained or fits
-        asked = {k: optimum.log_likelihood for k, (_, optimum) in fits.items()}
+        asked = {k: fit.log_likelihood for k, fit in fits.items()}
         if asked == self._parts_chosen_by:
             return
         self._parts_chosen_by = asked

@@ -31,8 +31,9 @@ class Settings:
     start_waves: tuple[float, float] = (0.05, 0.4)
     """RMS of random starts, and of random wavefronts for PSF components, at the light's own wavelength: larger wavefronts are
     far from focus, where a sweep finds them."""
-    search_steps: int = 25
-    """Largest number of steps of a climb while searching: climbs to the best optimum take 10 to 20."""
+    most_steps: int = 25
+    """Largest number of steps of a climb: climbs to the best optimum of a search take 10 to 20. With a free f-number two to six
+    suffice; on `corner-open`, with forty numbers, climbs took 3 to 24, and three of eighteen ended at this limit."""
     most_starts: int = 40
     """Largest number of starts of one search: 40 starts miss an optimum to which 5 % lead with a probability of 0.13."""
     enough_returns: int = 8
@@ -71,11 +72,6 @@ class Settings:
     """Standard errors, all parameters together: a climb ends if the remaining distance is shorter."""
     settled_stds: float = 0.3
     """Standard errors: a shorter step moves an optimum by less than 1e-5 waves beyond second order."""
-    slopes_stds: float = 1.0
-    """Standard errors: the picture after a shorter last step is predicted from slopes, not drawn."""
-    newton_rounds: int = 25
-    """Largest number of Newton's steps: six suffice for an f-number off by 12 %, two or three for 3 %; on
-    `corner-open`, with forty numbers, climbs took 3 to 24, and three of eighteen ended at this limit."""
     f_number_margin: float = 0.06
     """Relative change of the f-number, two standard errors of an engraving, that a model allows without being rebuilt."""
     narrow_window: float = 0.8
@@ -95,13 +91,10 @@ class Settings:
     """Standard error above which a combination of modes (waves), or the variance of the noise (relative), is undetermined."""
 
     # lens_model: what is known of every lens, camera and rail before a session
-    mistake: float = 0.1
-    """Relative standard error of a stated number that is a mistake. Larger mistakes are plain whatever is expected of them."""
     mistake_odds: float = 0.1
-    """Odds, before any photograph, that a stated number is a mistake. With lower odds a pitch that is 5 % off at close range,
-    which photographs hardly tell, would be more than four errors away."""
-    mistake_sure: float = 0.9
-    """Probability of any mistake above which the results assume the likeliest; below, only the errors allow for mistakes."""
+    """Odds, before any photograph, that a stated number is a mistake, and probability of a plan without mistakes below which
+    the results assume the likeliest mistake. With lower odds a pitch that is 5 % off at close range, which photographs hardly
+    tell, would be more than four errors away."""
     magnification_bounds: tuple[float, float] = (0.05, 20.0)
     """Bounds of the pupil magnification: no lens is outside."""
     defocus_floor_waves: float = 2e-4
@@ -116,14 +109,13 @@ class Settings:
     unknown: float = 10.0
     """Prior standard error of an unknown mode or part's number, in its own unit."""
     loose: float = 0.1
-    """Relative error of a working f-number or size that does not follow from the lens's conjugates."""
+    """Relative error of a stated number that is a mistake, and of a working f-number or size that does not follow from the
+    lens's conjugates. Larger departures are plain in any case."""
     mode_scatter_waves: tuple[float, ...] = (0.003, 0.01, 0.03, 0.1)
-    """Scatter of each mode from range to range, in half decades; the likeliest is chosen."""
+    """Scatter of each mode from range to range, in half decades; the likeliest is chosen. While optima are selected every mode,
+    and ln of f-number and scale, scatter by the least: over twelve modes 0.01, and no other optimum is so near."""
 
     # select: which candidate, which sign, which observations belong
-    rough: float = 0.003
-    """Error added to every mode, and to ln of f-number and scale, while optima are selected: over twelve modes 0.01, and no
-    other optimum is so near."""
     outlier_cost: float = 25.0
     """Penalty for leaving out an observation, exceeded by chance once in 10^8."""
     poor_errors: float = 30.0

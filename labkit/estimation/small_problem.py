@@ -251,7 +251,7 @@ class PhaseRetrieval:
             ftol=1e-4,
             xtol=1e-4,
             gtol=1e-6,
-            max_nfev=SETTINGS.search_steps,
+            max_nfev=SETTINGS.most_steps,
         )
         return Optimum(self._state(end.x), 2 * float(end.cost))
 

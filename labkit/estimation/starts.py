@@ -164,7 +164,7 @@ def at_random(sketches: Sketches, state: State, log: Log) -> Iterator[State]:
     """Yield ends of starts with reversed defocus and random modes, until enough starts return to the best end of one frame."""
     problem = sketches.problem(state, 1.0)
     best = maximize(
-        problem, state, max_steps=SETTINGS.search_steps, tolerance=SETTINGS.settled_stds
+        problem, state, max_steps=SETTINGS.most_steps, tolerance=SETTINGS.settled_stds
     )
     log.met(best)
     origin = best.state
@@ -198,7 +198,7 @@ def searched_from(problem: Problem, start: State) -> Solution:
     return maximize(
         problem,
         settle(problem, start),
-        max_steps=SETTINGS.search_steps,
+        max_steps=SETTINGS.most_steps,
         tolerance=SETTINGS.settled_stds,
     )
 

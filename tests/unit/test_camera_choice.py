@@ -91,8 +91,8 @@ class Fits:
         return {k: self.end(parts) for k in places}
 
     def chosen(self, *wanted: str) -> tuple[set[str], CameraChoice]:
-        choice = CameraChoice(self.refit, Parts(wanted))
-        ends = {k: ("G", self.end(Parts())) for k in range(FITS)}
+        choice = CameraChoice(self.refit, Parts(wanted), ["G"] * FITS)
+        ends = {k: self.end(Parts()) for k in range(FITS)}
         return set(choice.chosen(ends, Parts())), choice
 
 
@@ -318,8 +318,8 @@ def test_a_fit_whose_climb_is_lost_stays_as_it_was() -> None:
     def refit(places: Sequence[int], parts: Parts) -> dict[int, Optimum]:
         return {k: fit for k, fit in fits.refit(places, parts).items() if k != 4}
 
-    choice = CameraChoice(refit, Parts())
-    ends = {k: ("G", fits.end(Parts())) for k in range(FITS)}
+    choice = CameraChoice(refit, Parts(), ["G"] * FITS)
+    ends = {k: fits.end(Parts()) for k in range(FITS)}
     assert choice.chosen(ends, Parts()) == {"smear"}
     assert choice.tried == [PartTried("smear", 400.0, adopted=True)]
 
