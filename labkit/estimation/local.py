@@ -16,8 +16,7 @@ from labkit.estimation.likelihood import FrameData, predict
 from labkit.estimation.residuals import Verdict, judge, residual_spectrum
 from labkit.estimation.scores import ScoreTest, score_tests, twin_scores
 from labkit.estimation.settings import SETTINGS
-from labkit.estimation.sketches import Sketches
-from labkit.estimation.starts import Log
+from labkit.estimation.starts import Log, Sketches
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
@@ -303,10 +302,10 @@ class _Search:
         for waves in guesses.starts:
             log.starts += 1
             guess = replace(self.first, waves=np.asarray(waves, float))
-            yield (
-                waves,
-                self._lit(waves) if guesses.poses else starts.settled(self.sketches, guess),
-            )
+            if guesses.poses:
+                yield waves, self._lit(waves)
+            else:
+                yield waves, starts.settle(self.sketches.problem(guess), guess)
         for waves in guesses.modes:
             guess = replace(self.first, waves=np.asarray(waves, float))
             for state in starts.at_known_modes(self.sketches, guess, log):
@@ -360,7 +359,7 @@ class _Search:
         )
         if frames == 1:
             return whole
-        rough = self.sketches.problem(state, self.sketches.band)
+        rough = self.sketches.problem(state)
         return starts.settle(replace(rough, frames=self.whole.frames), whole)
 
 

@@ -1,7 +1,8 @@
 """Starts of climbs: predictions from other frames, a sweep over defocus, a small problem near focus, random wavefronts.
 
 Each function yields states of the first frame for a climb over the whole likelihood, the most promising first. No start is at
-zero: the likelihood has a saddle there, for the derivatives by all even modes vanish.
+zero: the likelihood has a saddle there, for the derivatives by all even modes vanish. Sketches, coarse models of one frame,
+make a search quick.
 """
 
 from __future__ import annotations
@@ -12,13 +13,85 @@ from time import process_time
 
 import numpy as np
 
-from labkit.estimation.climb import Problem, Solution, State, maximize
+from labkit.estimation.climb import NoisePrior, Problem, Solution, State, maximize
+from labkit.estimation.likelihood import FrameData
 from labkit.estimation.residuals import judge
 from labkit.estimation.settings import SETTINGS
-from labkit.estimation.sketches import Sketches, sweep
 from labkit.estimation.small_problem import PhaseRetrieval, Retrieved, random_wavefront
+from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
+from labkit.imaging.scene import Drawing
+from labkit.imaging.warp import Pose
+from labkit.imaging.window import WINDOW_AIRY
+from labkit.optics.wavefront import DEFOCUS, FARTHEST_WAVES
+from labkit.target import Target
 from labkit.types import Floats
+
+
+@dataclass
+class Sketches:
+    """Coarse problems of one frame: part of the pass band, or a narrow PSF window.
+
+    Each problem is built on first use and cached; it depends on band and window only.
+
+    Attributes
+    ----------
+    optics : lens, light and sensor
+    target : the target as shown
+    frame : counts, with calibration
+    pose : approximate pose of the target
+    noise : calibrated noise
+    seed : seed of random starts
+    """
+
+    optics: Optics
+    target: Target
+    frame: FrameData
+    pose: Pose
+    noise: NoisePrior
+    seed: int | Sequence[int] = 1
+    _made: dict[tuple[float, float], Problem] = field(default_factory=dict, repr=False)
+
+    @property
+    def band(self) -> float:
+        """Share of the pass band for sketches, at least 1.5 times the Nyquist frequency of the pixels."""
+        return min(
+            1.0,
+            max(SETTINGS.sketch_band, 0.75 / self.optics.pitch_um * self.optics.airy_um),
+        )
+
+    def near(self, state: State) -> bool:
+        """Whether defocus is so small that other modes decide what a picture looks like."""
+        defocus = state.waves[0] if self.optics.noll[0] == DEFOCUS else 0.0
+        return bool(
+            abs(defocus) * self.optics.reference_um
+            <= SETTINGS.near_waves * self.optics.wavelength_um
+        )
+
+    @property
+    def wide(self) -> Problem:
+        """The sketch for wavefronts of any defocus."""
+        return self._problem(self.band, WINDOW_AIRY)
+
+    def problem(self, state: State, band: float | None = None) -> Problem:
+        """Return a problem for wavefronts similar to a state's. band: share of the pass band, None for a sketch's."""
+        window_airy = SETTINGS.near_window_airy if self.near(state) else WINDOW_AIRY
+        return self._problem(self.band if band is None else band, window_airy)
+
+    def _problem(self, band: float, window_airy: float) -> Problem:
+        key = band, window_airy
+        if key not in self._made:
+            shape = self.frame.counts.shape
+            model = ForwardModel.build(
+                self.optics,
+                self.target,
+                shape,
+                self.pose,
+                band=band,
+                window_airy=window_airy,
+            )
+            self._made[key] = Problem(model, (self.frame,), self.noise)
+        return self._made[key]
 
 
 @dataclass
@@ -72,16 +145,62 @@ class Log:
             self.others.append((end.state.waves, -end.objective))
 
 
-def settled(sketches: Sketches, state: State) -> State:
-    """Settle pose and light of a state that other frames predict."""
-    return settle(sketches.problem(state, sketches.band), state)
+def sweep(sketches: Sketches, start: State) -> list[State]:
+    """Fit the light at each of a row of defocus values.
+
+    The other modes are the start's. If all are 0, negative defocus is covered by the twin; else negative values are tried too.
+    The row continues outwards while its last value is the best. The pose is fixed, for a pixel hardly changes the order.
+
+    Returns
+    -------
+    one state for each defocus, the least sum of squares first
+    """
+    scale = sketches.optics.wavelength_um / sketches.optics.reference_um
+    signs = (1, -1) if start.waves[1:].any() else (1,)
+    values = [sign * value for value in SETTINGS.swept_waves for sign in signs]
+    swept, best, outermost = list[tuple[float, State]](), np.inf, 0.0
+    problem = sketches.problem(start)
+    drawing = problem.draw(start)
+    while values:
+        value = values.pop(0)
+        state = replace(start, waves=np.append(value * scale, start.waves[1:]))
+        if problem is not sketches.problem(state):
+            problem = sketches.problem(state)
+            drawing = problem.draw(start)
+        misfit, lit = fitted_light(problem, state, drawing)
+        swept.append((misfit, lit))
+        if misfit < best:
+            best, outermost = misfit, value
+        if not values and abs(outermost) == abs(value) < FARTHEST_WAVES:
+            values += [sign * np.sqrt(2) * abs(value) for sign in signs]
+    return [state for _, state in sorted(swept, key=lambda entry: entry[0])]
+
+
+def fitted_light(problem: Problem, state: State, drawing: Drawing) -> tuple[float, State]:
+    """Return the least sum of squares of the first frame over its light, and the state with that light if it is positive.
+
+    Parameters
+    ----------
+    problem : the frame and its model
+    state : pose and wavefront
+    drawing : the target at the state's pose
+    """
+    frame = problem.frames[0]
+    light, counts = frame.illumination[frame.used], frame.counts[frame.used]
+    (relative,) = problem.relative(state, drawing)
+    columns = np.stack([light * relative, light], axis=1)
+    levels = np.asarray(np.linalg.lstsq(columns, counts)[0], np.float64)
+    misfit = float(np.sum((columns @ levels - counts) ** 2))
+    if levels[0] <= 0:
+        return misfit, state
+    return misfit, replace(state, scales=levels[:1], ambients=levels[1:])
 
 
 def at_known_modes(sketches: Sketches, state: State, log: Log) -> Iterator[State]:
     """Yield climbs from the two best values of a sweep over defocus, the other modes predicted."""
     for swept_state in sweep(sketches, state)[:2]:
         log.starts += 1
-        yield searched_from(sketches.problem(swept_state, sketches.band), swept_state).state
+        yield searched_from(sketches.problem(swept_state), swept_state).state
 
 
 def swept(
@@ -103,7 +222,7 @@ def swept(
     log.progress("defocus sweep")
     given = sweep(sketches, first)[: SETTINGS.tried]
     near = sketches.near(given[0])
-    end = searched_from(sketches.problem(given[0], sketches.band), given[0])
+    end = searched_from(sketches.problem(given[0]), given[0])
     log.starts += 1
     plausible = _excess(sketches, end.state) < SETTINGS.plausible_share * _excess(
         sketches, given[0]
@@ -112,11 +231,11 @@ def swept(
     if believed:
         yield end.state
     if near and not log.over:
-        posed = settled(sketches, given[0])
+        posed = settle(sketches.problem(given[0]), given[0])
         yield from retrieved(sketches, posed, [state.waves for state in given], log)
     ends = [end]
     for state in given[1:]:
-        ends.append(searched_from(sketches.problem(state, sketches.band), state))
+        ends.append(searched_from(sketches.problem(state), state))
         log.starts += 1
     best = max(ends, key=lambda one: one.objective).state
     log.returns = max(log.returns, sum(_near(one.state, best) for one in ends) - 1)
@@ -207,12 +326,9 @@ def further_start(
     origin: State, made: int, optics: Optics, rng: np.random.Generator
 ) -> State:
     """Return the start after `made` others: reversed defocus, which leads out of half of the wrong optima, then random ones."""
-    defocus = optics.noll[0] == 4
+    defocus = optics.noll[0] == DEFOCUS
     if defocus and made == 0:
-        return replace(
-            origin,
-            waves=origin.waves * np.where(np.arange(origin.waves.size) == 0, -1.0, 1.0),
-        )
+        return replace(origin, waves=np.append(-origin.waves[0], origin.waves[1:]))
     waves = random_wavefront(rng, origin.waves.size)
     waves *= optics.wavelength_um / optics.reference_um
     if defocus and rng.random() < 0.5:
@@ -227,5 +343,5 @@ def _near(state: State, other: State) -> bool:
 
 def _excess(sketches: Sketches, state: State) -> float:
     """Return the excess variance that a state leaves in part of the pass band."""
-    problem = sketches.problem(state, sketches.band)
+    problem = sketches.problem(state)
     return judge(problem, state, problem.relative(state)).excess

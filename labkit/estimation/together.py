@@ -27,8 +27,7 @@ from labkit.estimation.climb import (
 )
 from labkit.estimation.local import Views, first_state
 from labkit.estimation.settings import SETTINGS
-from labkit.estimation.sketches import Sketches, fitted_light
-from labkit.estimation.starts import settle
+from labkit.estimation.starts import Sketches, fitted_light, settle
 from labkit.execute import say
 from labkit.imaging.optics import Optics
 from labkit.sharing import Shared

@@ -23,8 +23,7 @@ from labkit.estimation.local import (
     first_state,
     residuals,
 )
-from labkit.estimation.sketches import Sketches, sweep
-from labkit.estimation.starts import Log
+from labkit.estimation.starts import Log, Sketches, sweep
 from labkit.imaging.parts import LowPass
 from labkit.imaging.warp import Pose
 from labkit.optics.zernike import twin_signs

@@ -28,7 +28,6 @@ MOST_OF_A_REPORT = 85
 SEARCH = {
     "labkit.estimation.local",
     "labkit.estimation.session",
-    "labkit.estimation.sketches",
     "labkit.estimation.small_problem",
     "labkit.estimation.starts",
 }
