@@ -29,14 +29,13 @@ from labkit.analysis.session_results import (
     session_findings,
 )
 from labkit.analysis.steps import Steps
-from labkit.analysis.turned_signs import turned_lenses
 from labkit.errors import DataError, FitError, InputError, SessionError
 from labkit.estimation.candidate import mostly_unexplained
+from labkit.estimation.doubts import turned_lenses, with_model_error
 from labkit.estimation.estimate import Estimate
 from labkit.estimation.joint import refined, refit_jointly
 from labkit.estimation.light_width import widest_light_nm
 from labkit.estimation.mistakes import with_doubts
-from labkit.estimation.model_error import with_model_error
 from labkit.estimation.observation import Observation
 from labkit.estimation.searches import fit_task
 from labkit.estimation.session import estimate

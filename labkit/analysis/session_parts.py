@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 
 from labkit.analysis.session_results import as_focus, as_wavefronts
+from labkit.estimation.doubts import shift
 from labkit.estimation.estimate import Estimate
 from labkit.estimation.laws import PART
 from labkit.estimation.lens_fit import LensFit
-from labkit.estimation.model_error import shift
 from labkit.findings import (
     Finding,
     Moves,

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from labkit.estimation.candidate import mostly_unexplained
+from labkit.estimation.doubts import confirmed, shift
 from labkit.estimation.estimate import Estimate, LocalFit
 from labkit.estimation.laws import (
     F_NUMBER,
@@ -19,7 +20,6 @@ from labkit.estimation.laws import (
 )
 from labkit.estimation.lens_fit import LensFit
 from labkit.estimation.local import residuals
-from labkit.estimation.model_error import confirmed, shift
 from labkit.estimation.residuals import residual_frequencies
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.split import second_camp

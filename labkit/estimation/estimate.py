@@ -57,7 +57,6 @@ class Estimate:
     ----------
     fits : a fit for each observation but the lost ones
     lens : the common lens; None if ranges are unknown or defocus is not fitted
-    rows : place of each fit among the observations of `lens`; None for fits that do not contribute
     members : places of the fits from which the lens is estimated
     outliers : places of fits that contradict the lens
     refitted_members : places of members that were outliers until they were refitted from the session's prediction
@@ -71,7 +70,6 @@ class Estimate:
 
     fits: tuple[LocalFit, ...]
     lens: LensFit | None = None
-    rows: tuple[int | None, ...] = ()
     members: tuple[int, ...] = ()
     outliers: tuple[int, ...] = ()
     refitted_members: tuple[int, ...] = ()
@@ -88,10 +86,9 @@ class Estimate:
         return self.members or tuple(range(len(self.fits)))
 
     def row(self, k: int) -> int:
-        """Return the place of fit k among the observations of the lens. Raise ValueError if it does not contribute."""
-        if (row := self.rows[k]) is None:
-            raise ValueError(f"fit {k} does not contribute to the lens")
-        return row
+        """Return the place of fit k, which contributes to the lens, among the lens's observations."""
+        assert self.lens is not None
+        return self.lens.model.rows[self.fits[k].observation.key]
 
     def with_stated_camera(self, k: int) -> LocalFit | None:
         """Return fit k without the parts that were added; None if no part was, or if memory was too short for some fits."""

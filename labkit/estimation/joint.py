@@ -14,7 +14,7 @@ from labkit.estimation.estimate import Estimate
 from labkit.estimation.expansion import expand
 from labkit.estimation.lens_fit import LensFit
 from labkit.estimation.local import Views
-from labkit.estimation.select import exact_lens
+from labkit.estimation.select import lens_of
 from labkit.estimation.settings import SETTINGS
 from labkit.execute import Run
 from labkit.imaging.model import ForwardModel
@@ -168,13 +168,10 @@ def _all_reached(
 
 def _lens_of(session: Estimate, reached: Sequence[Reached], like: LensFit) -> LensFit:
     """Estimate the lens from the members' new measurements, under the laws of an earlier lens."""
-    model = like.model
-    chosen = dict[int, Measured]()
-    for k, one in zip(session.members, reached, strict=True):
-        chosen[session.row(k)] = one.measured
-    every = [chosen.get(row) for row in range(len(model.readings))]
-    members = np.array([one is not None for one in every])
-    return exact_lens(model.readings, every, members, model.stated, laws=model.laws)
+    rows = map(session.row, session.members)
+    return lens_of(
+        {row: one.measured for row, one in zip(rows, reached, strict=True)}, like
+    )
 
 
 def reach(leg: Leg) -> Reached:

@@ -42,6 +42,7 @@ from labkit.estimation.laws import (
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import Stated
 from labkit.imaging.parts import ESTIMATED
+from labkit.key import Key
 from labkit.optics.lens import USUAL_LOG_MAGNIFICATION, ThinLens, defocus_waves
 from labkit.optics.wavefront import DEFOCUS
 from labkit.types import Bools, Floats, Indices
@@ -92,6 +93,11 @@ class LensModel:
     def defocus(self) -> int:
         """Place of defocus among the values."""
         return self.noll.index(DEFOCUS)
+
+    @cached_property
+    def rows(self) -> dict[Key, int]:
+        """Place of each observation, by its key."""
+        return {reading.key: k for k, reading in enumerate(self.readings)}
 
     @cached_property
     def channels(self) -> tuple[str, ...]:

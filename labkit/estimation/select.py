@@ -6,7 +6,7 @@ squares. Coordinate ascent alternates between the two: the penalised log-likelih
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -362,6 +362,14 @@ def exact_lens(
     mistaken = max(with_mistakes(lens), key=lambda fit: fit.log_evidence)
     gain = mistaken.log_evidence - likeliest.log_evidence
     return mistaken if gain > -np.log(SETTINGS.mistake_odds) else likeliest
+
+
+def lens_of(measured: Mapping[int, Measured], like: LensFit) -> LensFit:
+    """Return the lens of new measurements of an earlier lens's members, by their rows, under the earlier lens's laws."""
+    model = like.model
+    chosen = [measured.get(row) for row in range(len(model.readings))]
+    members = like.measured.used
+    return exact_lens(model.readings, chosen, members, model.stated, laws=model.laws)
 
 
 def _common_tilt(tilts: Floats) -> tuple[float, float] | None:

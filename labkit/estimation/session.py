@@ -9,15 +9,14 @@ import numpy as np
 
 from labkit.errors import FitError
 from labkit.estimation.camera import CameraChoice, Parts
-from labkit.estimation.candidate import Measured
 from labkit.estimation.estimate import Estimate, LocalFit, is_ranged, observed
 from labkit.estimation.laws import Laws
-from labkit.estimation.lens_fit import LensFit, fit_lens
+from labkit.estimation.lens_fit import fit_lens
 from labkit.estimation.local import Found, Guesses, Optimum
 from labkit.estimation.observation import Observation
 from labkit.estimation.refits import Refits, with_tests
 from labkit.estimation.searches import Searches
-from labkit.estimation.select import OUT, Selection, exact_lens, poor_model, select
+from labkit.estimation.select import OUT, Selection, lens_of, poor_model, select
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import Stated, nominal_f_number, optics_of, wanted_parts
 from labkit.estimation.strong import StrongSearch
@@ -95,11 +94,10 @@ class _Loop:
         self.observations = self.search.observations
         self.stated = Stated.of(self.plan)
         places = range(len(self.observations))
-        self.ranged = [
-            k for k in places if is_ranged(self.observations[k], self.plan.fit.noll)
-        ]
+        ranged = [k for k in places if is_ranged(self.observations[k], self.plan.fit.noll)]
+        self.rows = {k: row for row, k in enumerate(ranged)}
         ranges = [r for o in self.observations if (r := o.measured_range_mm) is not None]
-        self.alone = len({self.observations[k].measured_range_mm for k in self.ranged}) < 2
+        self.alone = len({self.observations[k].measured_range_mm for k in self.rows}) < 2
         self.nominal_f_number = nominal_f_number(self.plan, ranges)
         self.refits = Refits(self.search, self.plan)
         channels = [o.channel for o in self.observations]
@@ -206,14 +204,13 @@ class _Loop:
             return {k: self._guess(modes=(waves,)) for k in left}
         predicted, covariance = selection.lens.predictions
         at = selection.lens.model.defocus
-        rows = {k: row for row, k in enumerate(self.ranged)}
         sure, leaders = dict[int, Guesses](), dict[str, tuple[float, int]]()
         for k in left:
-            if k not in rows:
+            if (row := self.rows.get(k)) is None:
                 sure[k] = self._guess(modes=(self._clearest().waves,))
                 continue
-            waves = predicted[rows[k], : len(self._noll)]
-            if covariance[rows[k], at, at] < SETTINGS.sure_waves**2:
+            waves = predicted[row, : len(self._noll)]
+            if covariance[row, at, at] < SETTINGS.sure_waves**2:
                 sure[k] = self._guess(starts=(waves,), poses=self._known_poses(k))
                 continue
             channel = self.observations[k].channel
@@ -221,7 +218,7 @@ class _Loop:
                 leaders.get(channel, (-1.0, k)), (abs(float(waves[at])), k)
             )
         for _, k in leaders.values():
-            sure[k] = self._guess(modes=(predicted[rows[k], : len(self._noll)],))
+            sure[k] = self._guess(modes=(predicted[self.rows[k], : len(self._noll)],))
         return sure
 
     def _badly_predicted(self, selection: Selection) -> dict[int, Guesses]:
@@ -239,7 +236,7 @@ class _Loop:
         anyone = not poor and any(
             found.best.verdict.accepted for found in self.found.values()
         )
-        for row, k in enumerate(self.ranged):
+        for k, row in self.rows.items():
             if k not in self.found or selection.choice[row] == OUT:
                 continue
             candidate = selection.candidate(row)
@@ -313,12 +310,10 @@ class _Loop:
         optics = optics_of(self.plan, observation.channel).with_parts(self.parts).begun()
         if not self.found:
             return replace(optics, f_number=self.nominal_f_number.value)
-        if selection is not None and k in self.ranged:
+        if selection is not None and k in self.rows:
             predicted, _ = selection.lens.predictions
-            return optics.with_named(
-                selection.lens.model.parts,
-                predicted[self.ranged.index(k), len(self._noll) : -1],
-            )
+            numbers = predicted[self.rows[k], len(self._noll) : -1]
+            return optics.with_named(selection.lens.model.parts, numbers)
         clearest = self._clearest().optics
         return optics.with_named(clearest.camera_labels, clearest.camera_parameters)
 
@@ -345,14 +340,14 @@ class _Loop:
         return self._selected[1]
 
     def _select(self) -> Selection | None:
-        every = [observed(self.observations[k], self.found.get(k)) for k in self.ranged]
+        every = [observed(self.observations[k], self.found.get(k)) for k in self.rows]
         fitted = any(one.candidates for one in every)
         return select(every, self.stated) if fitted else None
 
     def chosen(self, k: int) -> Optimum:
         """Return the optimum of observation k, with the session's sign if the session decides it."""
         selection, found = self.selection(), self.found[k]
-        row = self.ranged.index(k) if k in self.ranged else None
+        row = self.rows.get(k)
         if selection is None or row is None or selection.choice[row] == OUT:
             return found.best.canonical()
         place, twin = divmod(int(selection.choice[row]), 2)
@@ -452,19 +447,12 @@ class _Loop:
             replace(fit, optimum=bare.get(k, fit.optimum).nearest_to(fit.optimum))
             for k, fit in zip(places, whole.fits, strict=True)
         )
-        lens = None
-        if whole.lens is not None:
-            lens = self._lens_of(fits, whole, whole.lens)
+        if (lens := whole.lens) is not None:
+            measured = {
+                whole.row(i): fits[i].optimum.candidate.measured for i in whole.members
+            }
+            lens = lens_of(measured, lens)
         return replace(whole, fits=fits, lens=lens)
-
-    def _lens_of(self, fits: Sequence[LocalFit], like: Estimate, lens: LensFit) -> LensFit:
-        """Return the lens of fits that belong as another estimate's do, under the laws of its lens."""
-        chosen: list[Measured | None] = [None] * len(self.ranged)
-        for fit, row in zip(fits, like.rows, strict=True):
-            if row is not None:
-                chosen[row] = fit.optimum.candidate.measured
-        model, members = lens.model, lens.measured.used
-        return exact_lens(model.readings, chosen, members, self.stated, laws=model.laws)
 
     def _as_estimate(self) -> Estimate:
         selection = self.selection()
@@ -475,20 +463,16 @@ class _Loop:
         lost = tuple(self.search.left_out)
         if selection is None:
             return Estimate(fits, lost=lost)
-        rows = tuple(self.ranged.index(k) if k in self.ranged else None for k in places)
-        members = tuple(
-            i for i, row in enumerate(rows) if row is not None and selection.members[row]
-        )
+        rows = [self.rows.get(k) for k in places]
+        contribute = [i for i, row in enumerate(rows) if row is not None]
+        members = tuple(i for i in contribute if selection.members[rows[i]])
         outliers = tuple(
-            i
-            for i, row in enumerate(rows)
-            if row is not None and selection.choice[row] != OUT and i not in members
+            i for i in contribute if i not in members and selection.choice[rows[i]] != OUT
         )
         refitted = tuple(i for i in members if places[i] in self.again)
-        open_rows = np.flatnonzero(selection.open_signs)
-        signed = tuple(i for i in members if rows[i] not in open_rows)
+        signed = tuple(i for i in members if not selection.open_signs[rows[i]])
         return Estimate(
-            fits, selection.lens, rows, members, outliers, refitted, signed, lost=lost
+            fits, selection.lens, members, outliers, refitted, signed, lost=lost
         )
 
 

@@ -109,7 +109,6 @@ def _part(session: Estimate, places: Sequence[int], whole: LensFit) -> Estimate:
         session,
         fits=tuple(signed),
         lens=selection.lens,
-        rows=every,
         members=every,
         outliers=(),
         refitted_members=(),

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from labkit.estimation.doubts import confirmed, shift, with_model_error
 from labkit.estimation.estimate import Estimate
 from labkit.estimation.local import Found, Optimum
-from labkit.estimation.model_error import confirmed, shift, with_model_error
 from labkit.plan import Plan
 from tests.lens_samples import best_focus
 from tests.optimum_samples import (

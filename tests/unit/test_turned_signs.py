@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from labkit.analysis.session_results import as_focus
-from labkit.analysis.turned_signs import with_turned
+from labkit.estimation.doubts import with_turned
 from labkit.estimation.select import select
 from tests.lens_samples import measured_of, members, stated, turned
 
