@@ -14,42 +14,30 @@ from threadpoolctl import threadpool_limits
 
 from labkit.analysis.kept_fits import FOLDER, KeptFits
 from labkit.analysis.observe import observe, selected
-from labkit.analysis.plan_doubts import plan_findings
-from labkit.analysis.session_parts import (
-    camera_findings,
-    higher_modes,
-    in_words,
-    model_parts,
-)
+from labkit.analysis.session_findings import findings_of
+from labkit.analysis.session_parts import model_parts, widest_light_nm
 from labkit.analysis.session_results import (
     as_focus,
     as_lens,
     as_wavefronts,
     budget,
-    session_findings,
 )
 from labkit.analysis.steps import Steps
 from labkit.errors import DataError, FitError, InputError, SessionError
-from labkit.estimation.candidate import mostly_unexplained
 from labkit.estimation.doubts import turned_lenses, with_model_error
 from labkit.estimation.estimate import Estimate
 from labkit.estimation.joint import refined, refit_jointly
-from labkit.estimation.light_width import widest_light_nm
 from labkit.estimation.mistakes import with_doubts
 from labkit.estimation.observation import Observation
 from labkit.estimation.searches import fit_task
 from labkit.estimation.session import estimate
 from labkit.estimation.split import Change, find_change
-from labkit.estimation.stated import wanted_parts
 from labkit.execute import Run, Workers, default_workers
 from labkit.findings import (
     Finding,
     each_once,
     found,
-    model_incomplete_everywhere,
-    residuals_not_noise,
     unanswered,
-    undetermined,
 )
 from labkit.key import Key
 from labkit.panel.seen_pixels import (
@@ -60,7 +48,7 @@ from labkit.panel.seen_pixels import (
 )
 from labkit.panel.target_pixels import as_shown, pixels_per_cell
 from labkit.plan import Plan
-from labkit.results import Results, Wavefront
+from labkit.results import Results
 from labkit.results.storage import kept_keys
 from labkit.session.body_filters import with_body_filters
 from labkit.session.fit_lock import fitted_alone
@@ -71,9 +59,6 @@ from labkit.session.verify import altered as altered_files
 from labkit.session.verify import as_error, unused
 from labkit.target import Target, open_target
 from labkit.types import Progress, no_progress
-
-USUAL_CHI2 = (0.9, 1.5)
-"""Usual chi2 per pixel of a model that describes its pixels: the noise is known to some 5 %, and small faults add up."""
 
 FIT_AGAIN = "fit again: that goes on where this one ended"
 """Advice after an interrupted fit: completed fits are kept."""
@@ -283,15 +268,7 @@ def _results(
         fits = replace(fits, lens=with_doubts(fits.lens))
     fits = with_model_error(fits)
     wavefronts, lens, numbers = as_wavefronts(fits), fits.lens, model_parts(fits, plan)
-    findings = [
-        *noted,
-        *(found("fit-left-out", note=words) for words in fits.lost),
-        *higher_modes(wavefronts, plan),
-        *camera_findings(fits, wavefronts, numbers, wanted_parts(plan)),
-        *plan_findings(fits.lens, plan),
-        *session_findings(fits, patience_s),
-        *_doubts(wavefronts),
-    ]
+    findings = [*noted, *findings_of(fits, wavefronts, numbers, plan, patience_s)]
     focus = None if lens is None else as_focus(lens, turned_lenses(fits))
     wanted = wanted and any(w.range_mm is not None and w.defocus for w in wavefronts)
     return Results(
@@ -356,34 +333,3 @@ def _partial_name(ranges_mm: Ranges, channels: Channels) -> str:
     ranges = [] if ranges_mm is None else np.atleast_1d(ranges_mm).tolist()
     names = [channels] if isinstance(channels, str) else channels or ()
     return "-".join([*(f"{range_mm:.10g}mm" for range_mm in ranges), *names])
-
-
-def _doubts(wavefronts: Sequence[Wavefront]) -> Iterator[Finding]:
-    """Yield findings about doubtful wavefronts; one finding if the model is incomplete for most."""
-    poor = {
-        w.key
-        for w in wavefronts
-        if w.test is not None and w.test.accepted and not w.test.explains
-    }
-    together = len(wavefronts) > 1 and mostly_unexplained(
-        w.key not in poor for w in wavefronts
-    )
-    together = together and not any(w.missing for w in wavefronts if w.key in poor)
-    if together:
-        chi2 = {w.key.array_name: w.chi2_per_pixel for w in wavefronts if w.key in poor}
-        yield model_incomplete_everywhere(chi2, len(wavefronts))
-    for w in wavefronts:
-        assert w.test is not None
-        shared = together and w.key in poor
-        if w.test.undetermined:
-            yield undetermined(w.key, w.test.undetermined)
-        elif not (w.test.explains or shared):
-            confirmed_by = w.test.name if w.test.accepted else None
-            yield residuals_not_noise(
-                w.key, w.test.p_value, w.chi2_per_pixel, in_words(w.missing), confirmed_by
-            )
-        low, high = USUAL_CHI2
-        if not (low <= w.chi2_per_pixel <= high or shared):
-            yield found(
-                "chi2-unusual", w.key, chi2_per_pixel=w.chi2_per_pixel, low=low, high=high
-            )

@@ -1,8 +1,8 @@
-"""Convert an estimate to results: wavefronts, best focus, lens, error budget and findings."""
+"""Convert an estimate to results: wavefronts, best focus, lens and error budget."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,20 +16,15 @@ from labkit.estimation.laws import (
     MAGNIFICATION,
     RANGE_ZERO,
     WAVELENGTH,
-    WORKING_F_NUMBER,
 )
 from labkit.estimation.lens_fit import LensFit
 from labkit.estimation.local import residuals
 from labkit.estimation.residuals import residual_frequencies
 from labkit.estimation.settings import SETTINGS
-from labkit.estimation.split import second_camp
-from labkit.findings import Finding, found, two_camps
 from labkit.imaging.optics import Optics
-from labkit.key import Key
 from labkit.optics.known_bias import covariance_with_bias, error_with_bias
 from labkit.optics.lens import TELLING_STD, blur_per_wave_um
 from labkit.optics.wavefront import DEFOCUS
-from labkit.optics.zernike import is_even
 from labkit.results import (
     Focus,
     Lens,
@@ -138,11 +133,11 @@ def as_focus(lens: LensFit, turned: Sequence[LensFit] = ()) -> Focus | None:
 
     turned: estimates with the other sign where signs are open; errors include the largest difference from them.
     """
-    model, stations = lens.model, _stations(lens)
+    model, stations = lens.model, stations_of(lens)
     channels = [channel for channel in model.channels if len(stations.get(channel, ())) > 1]
     if not channels:
         return None
-    pupils = _magnification(lens)
+    pupils = pupil_magnification(lens)
     combinations = np.array(
         [
             *(model.best_focus(channel) for channel in channels),
@@ -165,7 +160,7 @@ def as_focus(lens: LensFit, turned: Sequence[LensFit] = ()) -> Focus | None:
     return Focus(
         best,
         pupils,
-        pupils.std <= TELLING_STD and not _at_bound(pupils),
+        pupils.std <= TELLING_STD and not at_bound(pupils),
         {c: _defocus_of(lens, c, rest) for c in channels},
         covariance,
         lens.chi2 / lens.degrees_of_freedom if lens.degrees_of_freedom >= 1 else None,
@@ -187,14 +182,14 @@ def as_lens(lens: LensFit) -> Lens:
     return Lens(
         lens.uncertain(FOCAL_LENGTH, unit="mm"),
         lens.uncertain(F_NUMBER),
-        _magnification(lens),
+        pupil_magnification(lens),
         lens.uncertain(RANGE_ZERO, unit="mm"),
     )
 
 
 def budget(lens: LensFit) -> dict[str, dict[str, float]]:
     """Return the error budget of every headline number: standard errors by photons, calibration, geometry, model."""
-    model, stations = lens.model, _stations(lens)
+    model, stations = lens.model, stations_of(lens)
     wanted = {
         f"best_focus_mm.{name}": model.best_focus(name)
         for name in model.channels
@@ -203,101 +198,14 @@ def budget(lens: LensFit) -> dict[str, dict[str, float]]:
     wanted |= {
         "focal_length_mm": model.column(FOCAL_LENGTH),
         "f_number": model.column(F_NUMBER),
-        "pupil_magnification": model.column(MAGNIFICATION) * _magnification(lens).value,
+        "pupil_magnification": model.column(MAGNIFICATION)
+        * pupil_magnification(lens).value,
         "range_zero_mm": model.column(RANGE_ZERO),
     }
     return {name: lens.contributions(combination) for name, combination in wanted.items()}
 
 
-def session_findings(session: Estimate, patience_s: float) -> list[Finding]:
-    """Report findings about searches and the session's lens.
-
-    Parameters
-    ----------
-    session : the estimate
-    patience_s : processor time of one search
-    """
-    lens = session.lens
-    findings = [*_search_findings(session, patience_s), *_open_signs(session)]
-    if lens is None:
-        return [*findings, found("no-best-focus", why=_why_no_lens(session))]
-    return [*findings, *_lens_findings(lens)]
-
-
-def _open_signs(session: Estimate) -> list[Finding]:
-    """Report wavefronts of open sign: one finding for the session, else one for a channel, else one for each."""
-    is_open = {
-        fit.observation.key: k not in session.signed and k not in session.outliers
-        for k, fit in enumerate(session.fits)
-        if any(map(is_even, fit.optimum.noll))
-    }
-    if is_open and all(is_open.values()):
-        where = "all wavefronts" if len(is_open) > 1 else next(iter(is_open)).label
-        return [found("defocus-sign-open", None, {"where": where})]
-    findings = []
-    for channel in dict.fromkeys(key.channel for key in is_open):
-        keys = [key for key in is_open if key.channel == channel]
-        if all(is_open[key] for key in keys):
-            findings.append(found("defocus-sign-open", Key(None, channel)))
-        else:
-            findings += [found("defocus-sign-open", key) for key in keys if is_open[key]]
-    return findings
-
-
-def _search_findings(session: Estimate, patience_s: float) -> list[Finding]:
-    """Report fits that ended early, were refitted, or contradict the others."""
-    keys = [local.observation.key for local in session.fits]
-    findings = [
-        found("search-cut-short", key, patience_s=patience_s, starts=local.found.starts)
-        for k, (key, local) in enumerate(zip(keys, session.fits, strict=True))
-        if local.found.cut_short and k not in session.members
-    ]
-    findings += [found("fit-mended", keys[k]) for k in session.refitted_members]
-    if second_camp(session):
-        findings.append(
-            two_camps(
-                [keys[k] for k in session.members], [keys[k] for k in session.outliers]
-            )
-        )
-    else:
-        findings += [found("fit-does-not-belong", keys[k]) for k in session.outliers]
-    return findings
-
-
-def _why_no_lens(session: Estimate) -> str:
-    if any(local.ranged for local in session.fits):
-        return "every fit was rejected"
-    if any(DEFOCUS in local.optimum.noll for local in session.fits):
-        return "the frames carry no ranges"
-    return "defocus was not fitted"
-
-
-def _lens_findings(lens: LensFit) -> Iterator[Finding]:
-    pupils = _magnification(lens)
-    for channel, stations in _stations(lens).items():
-        if len(stations) < 2:
-            yield found("channel-without-best-focus", Key(None, channel))
-    if _at_bound(pupils):
-        least, most = SETTINGS.magnification_bounds
-        yield found("pupil-magnification-at-bound", least=least, most=most)
-    elif pupils.std > TELLING_STD:
-        yield found("pupil-magnification-undetermined", pupil_magnification_std=pupils.std)
-    if not lens.model.laws.paraxial:
-        yield found(
-            "cones-contradict-one-lens",
-            cone_relative_error=float(np.expm1(lens.value(WORKING_F_NUMBER))),
-        )
-    if not lens.model.laws.shared:
-        yield found(
-            "modes-differ-between-ranges", scatter_waves=lens.model.laws.mode_scatter
-        )
-    if lens.birge_ratio > 1:
-        yield found(
-            "errors-widened", factor=lens.birge_ratio, chi2_per_freedom=lens.reduced_chi2
-        )
-
-
-def _stations(lens: LensFit) -> dict[str, set[float]]:
+def stations_of(lens: LensFit) -> dict[str, set[float]]:
     """Return the rail stations of each channel's members."""
     seen = dict[str, set[float]]()
     for reading, used in zip(lens.model.readings, lens.measured.used, strict=True):
@@ -306,12 +214,13 @@ def _stations(lens: LensFit) -> dict[str, set[float]]:
     return seen
 
 
-def _magnification(lens: LensFit) -> Uncertain:
+def pupil_magnification(lens: LensFit) -> Uncertain:
+    """Return the pupil magnification of a lens."""
     value = float(np.exp(lens.value(MAGNIFICATION)))
     return Uncertain(value, value * lens.std(MAGNIFICATION))
 
 
-def _at_bound(pupils: Uncertain) -> bool:
+def at_bound(pupils: Uncertain) -> bool:
     """Whether a pupil magnification is at one of its bounds, which stopped the estimate."""
     least, most = SETTINGS.magnification_bounds
     return not 1.001 * least < pupils.value < most / 1.001

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from labkit.analysis.session_parts import widest_light_nm
 from labkit.estimation.estimate import Estimate
-from labkit.estimation.light_width import widest_light_nm
 from labkit.estimation.local import Found
 from labkit.estimation.scores import ScoreTest
 from labkit.estimation.searches import Task

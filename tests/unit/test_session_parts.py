@@ -9,11 +9,10 @@ from typing import cast
 import numpy as np
 import pytest
 
-from labkit.analysis.session_parts import model_parts, part_findings
-from labkit.analysis.session_results import session_findings
+from labkit.analysis.session_findings import part_findings, session_findings
+from labkit.analysis.session_parts import model_parts, widest_light_nm
 from labkit.estimation.candidate import Measured, Observed
 from labkit.estimation.estimate import Estimate, LocalFit
-from labkit.estimation.light_width import widest_light_nm
 from labkit.estimation.select import select
 from labkit.findings import Finding, Moves, found
 from labkit.imaging.parts import SpectrumWidth
