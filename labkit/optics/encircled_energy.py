@@ -169,7 +169,9 @@ def _mean_in_one_light(wavefront: FittedWavefront, radius_um: float) -> _Mean:
     frequency = cutoff * np.cos(angle)
     directions = 12 + int(np.ceil(0.5 * steep))
     parts = [
-        transfer_function(wavefront, 1e3 * frequency, k * 180 / directions)
+        transfer_function(
+            wavefront, 1e3 * frequency, k * 180 / directions, not wavefront.exact
+        )
         for k in range(directions)
     ]
     value = np.mean([transfer.real for transfer, _ in parts], axis=0)

@@ -32,7 +32,7 @@ from labkit.arrays import positive, real_array
 from labkit.optics.psf import ARC_SPACING, OUTLINE_REACH, diffraction_mtf, smooth_outline
 from labkit.optics.rim import ROUND_RIM, Rim
 from labkit.optics.unknown_light import in_any_light
-from labkit.optics.wavefront import FittedWavefront, modes_at
+from labkit.optics.wavefront import FittedWavefront
 from labkit.optics.zernike import cartesian, nm_to_noll, noll_to_nm
 from labkit.types import Complexes, Floats
 from labkit.uncertain import Uncertain
@@ -117,7 +117,9 @@ def mtf(
     )
     along = frequency.ravel()
     azimuth = azimuth_deg(direction, field)
-    value, gradient = _modulus(*transfer_function(wavefront, along, azimuth))
+    value, gradient = _modulus(
+        *transfer_function(wavefront, along, azimuth, not wavefront.exact)
+    )
     variance = wavefront.variance(gradient)
     if wavefront.f_number_std:
         variance = (
@@ -133,7 +135,7 @@ def _slope(wavefront: FittedWavefront, frequency: Floats, azimuth: float) -> Flo
     """Return the derivative of the MTF by frequency, mm; a larger aperture stretches the frequency axis."""
     step = 1e-4 * wavefront.cutoff_per_mm
     after, before = (
-        np.abs(transfer_function(wavefront, frequency + d, azimuth)[0])
+        np.abs(transfer_function(wavefront, frequency + d, azimuth, slopes=False)[0])
         for d in (step, -step)
     )
     return np.asarray((after - before) / (2 * step))
@@ -169,12 +171,15 @@ def mtf50(
 
     def value(frequency: float) -> float:
         at = np.array([frequency])
-        return float((np.abs(transfer_function(wavefront, at, azimuth)[0]) * pixel(at))[0])
+        modulus = np.abs(transfer_function(wavefront, at, azimuth, slopes=False)[0])
+        return float((modulus * pixel(at))[0])
 
     grid = np.linspace(0, cutoff, HALF_MODULATION_GRID + 1)
     below = int(
         np.argmax(
-            np.abs(transfer_function(wavefront, grid, azimuth)[0]) * pixel(grid) < 0.5
+            np.abs(transfer_function(wavefront, grid, azimuth, slopes=False)[0])
+            * pixel(grid)
+            < 0.5
         )
     )
     half = brentq(
@@ -206,18 +211,24 @@ def pixel_mtf(
 
 
 def transfer_function(
-    wavefront: FittedWavefront, frequency_per_mm: Floats, azimuth_deg: float
+    wavefront: FittedWavefront,
+    frequency_per_mm: Floats,
+    azimuth_deg: float,
+    slopes: bool = True,
 ) -> tuple[Complexes, Complexes]:
     """Return the transfer function (f,) at frequencies (f,) along an azimuth, and its derivatives (modes, f)
     per wave RMS.
 
     The function is the Fourier transform of the PSF: light to the right of the origin has a
-    falling phase along x.
+    falling phase along x. slopes: whether derivatives are computed; they are 0 otherwise
     """
     if not wavefront.rim.is_round:
-        return rim_transfer(wavefront, frequency_per_mm, azimuth_deg)
+        return rim_transfer(wavefront, frequency_per_mm, azimuth_deg, slopes)
     return _slice(
-        wavefront, frequency_per_mm, _tables(wavefront.noll, np.deg2rad(azimuth_deg))
+        wavefront,
+        frequency_per_mm,
+        _tables(wavefront.noll, np.deg2rad(azimuth_deg)),
+        slopes,
     )
 
 
@@ -247,20 +258,25 @@ def turning_transfer_function(
 
 
 def _slice(
-    wavefront: FittedWavefront, frequency_per_mm: Floats, tables: Floats
+    wavefront: FittedWavefront,
+    frequency_per_mm: Floats,
+    tables: Floats,
+    with_slopes: bool = True,
 ) -> tuple[Complexes, Complexes]:
     """Return (f,) the transfer function, and (tables, f) its derivatives by paths, the modes' first."""
     value = np.zeros(len(frequency_per_mm), complex)
     slopes = np.zeros((len(tables), len(frequency_per_mm)), complex)
     for share, light in wavefront.lights:
-        of_light, its_slopes = _slice_in_one_light(light, frequency_per_mm, tables)
+        of_light, its_slopes = _slice_in_one_light(
+            light, frequency_per_mm, tables, with_slopes
+        )
         value += share * of_light
         slopes += share * its_slopes
     return value, slopes
 
 
 def _slice_in_one_light(
-    wavefront: FittedWavefront, frequency_per_mm: Floats, tables: Floats
+    wavefront: FittedWavefront, frequency_per_mm: Floats, tables: Floats, with_slopes: bool
 ) -> tuple[Complexes, Complexes]:
     """Return `_slice` at one wavelength; 0 beyond the cutoff."""
     apart = np.minimum(
@@ -271,7 +287,10 @@ def _slice_in_one_light(
     rule = _gauss(nodes_for(wavefront))
     size = max(1, BLOCK // rule[0].size ** 2)
     blocks = [slice(k, k + size) for k in range(0, len(apart), size)]
-    parts = [_autocorrelation(apart[b], radians[b], path, tables, rule) for b in blocks]
+    parts = [
+        _autocorrelation(apart[b], radians[b], path, tables, rule, with_slopes)
+        for b in blocks
+    ]
     values, slopes = (
         zip(*parts, strict=True) if parts else ([np.zeros(0)], [np.zeros((len(tables), 0))])
     )
@@ -284,9 +303,10 @@ def _autocorrelation(
     path: Floats,
     tables: Floats,
     rule: tuple[Floats, Floats],
+    with_slopes: bool,
 ) -> tuple[Complexes, Complexes]:
     """Return (f,) the integral of exp(i radians * difference of path) over the overlap, and (tables, f) its
-    derivatives.
+    derivatives or zeros.
 
     Paths are polynomials in x, the coefficient of each power one in y; so are their
     differences between the two copies. The sums over the nodes are then moments of the
@@ -305,10 +325,14 @@ def _autocorrelation(
     scale = half[:, :, None] ** power  # (f, beta, k): x is half a width times a node
     by_x = node[:, None] ** power  # (x, k)
     difference = (radians[:, None, None] * scale * (of_x @ apart_by)) @ by_x.T
-    weighed = weight[:, None] * by_x
+    weighed = weight[:, None] * (by_x if with_slopes else by_x[:, :1])
     area = (top * weight * np.cos(beta) * half / np.pi)[:, :, None]
     cosine, sine = _cosine_and_sine(difference)
-    moments = area * scale * (cosine @ weighed + 1j * (sine @ weighed))  # (f, beta, k)
+    moments = (
+        area * scale[:, :, : weighed.shape[1]] * (cosine @ weighed + 1j * (sine @ weighed))
+    )  # (f, beta, k)
+    if not with_slopes:
+        return moments[:, :, 0].sum(axis=1), np.zeros((len(tables), len(apart)), complex)
     by_power = np.swapaxes(in_y, 0, 1) @ moments @ np.swapaxes(apart_by, 1, 2)  # (f, q, p)
     slopes: Complexes = np.asarray(
         1j * radians * np.tensordot(tables, by_power, ((2, 1), (1, 2))), complex
@@ -399,7 +423,10 @@ SAMPLED_RADIUS = 100.0
 
 
 def rim_transfer(
-    wavefront: FittedWavefront, frequency_per_mm: Floats, azimuth_deg: float
+    wavefront: FittedWavefront,
+    frequency_per_mm: Floats,
+    azimuth_deg: float,
+    slopes: bool = True,
 ) -> tuple[Complexes, Complexes]:
     """Return the transfer function of a pupil of any rim, as `labkit.optics.mtf.transfer_function`.
 
@@ -408,50 +435,59 @@ def rim_transfer(
     wavefront : modes and light
     frequency_per_mm : (f,) cycles/mm on the sensor
     azimuth_deg : direction of the frequencies, from x towards y
+    slopes : whether derivatives are computed
 
     Returns
     -------
-    (f,), and (modes, f) its derivatives per wave RMS
+    (f,), and (modes, f) its derivatives per wave RMS, 0 where they are not computed
     """
     value = np.zeros(len(frequency_per_mm), complex)
-    slopes = np.zeros((len(wavefront.noll), len(frequency_per_mm)), complex)
+    by_mode = np.zeros((len(wavefront.noll), len(frequency_per_mm)), complex)
+    turn = np.deg2rad(azimuth_deg)
+    tables = _tables(wavefront.noll, turn)
+    rim = wavefront.rim.turned(-turn)
     for share, light in wavefront.lights:
         airy_mm = light.wavelength_um * light.f_number * 1e-3
         nu = frequency_per_mm * airy_mm
-        spread, by_mode = _line_spread(light, np.deg2rad(azimuth_deg))
-        halo = wavefront.rim.halo
+        spread, its_slopes = _line_spread(light, rim, tables, slopes)
         size = spread.size
         places = np.arange(size) - size // 2
-        turn = np.exp(-2j * np.pi * 2 * SAMPLED_RADIUS / size * np.outer(places, nu))
-        passes = np.abs(nu) < wavefront.rim.reach
-        departure = (spread - _disc_spread(halo, size)) @ turn
-        value += share * passes * (departure + diffraction_mtf(nu * halo))
-        slopes += share * passes * (by_mode @ turn)
-    return value, slopes
+        wave = np.exp(-2j * np.pi * 2 * SAMPLED_RADIUS / size * np.outer(places, nu))
+        passes = np.abs(nu) < rim.reach
+        departure = (spread - _disc_spread(rim.halo, size)) @ wave
+        value += share * passes * (departure + diffraction_mtf(nu * rim.halo))
+        if slopes:
+            by_mode += share * passes * (its_slopes @ wave)
+    return value, by_mode
 
 
-def _line_spread(wavefront: FittedWavefront, azimuth: float) -> tuple[Floats, Floats]:
-    """Return shares of light (n,) at places along an azimuth, and derivatives (modes, n), at one wavelength."""
-    rim = wavefront.rim.turned(-azimuth)
+def _line_spread(
+    wavefront: FittedWavefront, rim: Rim, tables: Floats, slopes: bool
+) -> tuple[Floats, Floats]:
+    """Return shares of light (n,) at places along x, and derivatives (modes, n), at one wavelength.
+
+    Modes are polynomials in coordinates with x along the azimuth: the field needs a transform
+    for each power of x in place of one for each mode.
+    """
     offsets, clear = _amplitude(rim, SAMPLED_RADIUS, SAMPLED_RADIUS * rim.longest)
-    x, y = np.meshgrid(offsets / SAMPLED_RADIUS, offsets / SAMPLED_RADIUS)
-    cosine = np.cos(azimuth)
-    sine = np.sin(azimuth)
-    modes = modes_at(wavefront.noll, x * cosine - y * sine, x * sine + y * cosine)
+    powers = (offsets[:, None] / SAMPLED_RADIUS) ** np.arange(tables.shape[1])
+    path = powers @ np.tensordot(wavefront.waves, tables, 1).T @ powers.T
     factor = 1j * wavefront.radians_per_wave
-    pupil = clear * np.exp(factor * np.tensordot(wavefront.waves, modes, 1))
+    pupil = clear * np.exp(factor * path)
     size = _size(offsets.size)
     field = _transformed(pupil, size)
-    spread = np.sum(np.abs(field) ** 2, axis=0)
-    slopes = [
-        2
-        * np.sum((np.conj(field) * _transformed(factor * pupil * mode, size)).real, axis=0)
-        for mode in modes
-    ]
     light = size * np.pi * SAMPLED_RADIUS**2
-    return spread / light, np.array(slopes).reshape(-1, size) / light
+    spread = np.sum(np.abs(field) ** 2, axis=0) / light
+    if not slopes:
+        return spread, np.zeros((len(tables), 0))
+    turned = 2 * factor / light * np.conj(field)
+    by_power = [
+        powers.T @ (turned * _transformed(pupil * power, size)).real for power in powers.T
+    ]  # for each power of x: (powers of y, n)
+    return spread, np.tensordot(tables, np.array(by_power), 2)
 
 
+@lru_cache(maxsize=8)
 def _disc_spread(halo: float, size: int) -> Floats:
     """Return shares of light (n,) of a perfect disc with a halo."""
     radius = SAMPLED_RADIUS / halo
@@ -460,6 +496,7 @@ def _disc_spread(halo: float, size: int) -> Floats:
     return np.asarray(spread / (size * np.pi * radius**2))
 
 
+@lru_cache(maxsize=64)
 def _amplitude(rim: Rim, radius: float, longest: float) -> tuple[Floats, Floats]:
     """Return coordinates (n,), samples, and the amplitude (n, n) with the light of the full pupil."""
     half = int(np.ceil(longest)) + OUTLINE_REACH

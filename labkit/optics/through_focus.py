@@ -104,7 +104,7 @@ def mtf_through_focus(
         at = np.array([frequency_per_mm])
         along = azimuth_deg(direction)
         every = [
-            transfer_function(_with_defocus(rest, float(waves)), at, along)
+            transfer_function(_with_defocus(rest, float(waves)), at, along, not rest.exact)
             for waves in defocus
         ]
         return _modulus(

@@ -133,13 +133,21 @@ class FittedWavefront:
     def in_possible_lights(self) -> tuple[FittedWavefront, ...]:
         """The wavefront in light midway to the broadest that the photographs allow, and in the broadest; none if it is known.
 
+        These wavefronts are without errors: only values are compared.
+
         A number may change more in the narrower light: where rings that broad light washes out meet its wider rim.
         """
         if not self.widest_nm > 0:
             return ()
         own_nm = self.wavelength_nm * max(self.spectrum.variance, 0.0) ** 0.5
         midway_nm = (own_nm + self.widest_nm) / 2
-        return self.in_light(midway_nm), self.in_light(self.widest_nm)
+        exact = replace(self, covariance=np.zeros_like(self.covariance), f_number_std=0.0)
+        return exact.in_light(midway_nm), exact.in_light(self.widest_nm)
+
+    @property
+    def exact(self) -> bool:
+        """Whether the wavefront has no errors: numbers computed from it need no derivatives."""
+        return not (self.covariance.any() or self.f_number_std)
 
     @property
     def radians_per_wave(self) -> float:

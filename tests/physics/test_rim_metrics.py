@@ -101,3 +101,14 @@ def test_a_perfect_ring_has_the_encircled_energy_of_its_closed_form() -> None:
     radius_um = np.array([1.0, 2.0, 5.0])
     exact = [quad(light, 1e-9, np.pi * r / (0.6 * 2.8), limit=200)[0] for r in radius_um]
     assert encircled_energy(ring, radius_um).value == pytest.approx(exact, abs=4e-4)
+
+
+@pytest.mark.parametrize("name", [*RIMS, "disc"])
+def test_derivatives_that_nobody_needs_are_left_out(name: str) -> None:
+    wavefront = OVER_A_DISC if name == "disc" else over(name)
+    frequency = np.linspace(0, wavefront.cutoff_per_mm, 9)
+    value, slopes = transfer_function(wavefront, frequency, 30.0)
+    alone, left_out = transfer_function(wavefront, frequency, 30.0, slopes=False)
+    np.testing.assert_allclose(alone, value, atol=1e-15)
+    assert slopes.any()
+    assert not left_out.any()

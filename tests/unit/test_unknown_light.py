@@ -87,3 +87,8 @@ def test_results_tell_every_wavefront_how_broad_its_light_may_be() -> None:
         widest_light_nm={"R": 20.0},
     )
     assert [w.fitted.widest_nm for w in results] == [20.0, 0.0]
+
+
+def test_other_lights_are_compared_by_values_alone() -> None:
+    assert not replace(OPEN, f_number_std=0.01).exact
+    assert all(w.exact for w in replace(OPEN, f_number_std=0.01).in_possible_lights)
