@@ -40,16 +40,15 @@ from labkit.uncertain import Uncertain
 Direction = Literal["x", "y", "tangential", "sagittal"]
 FIXED: dict[str, float] = {"x": 0.0, "y": 90.0}
 
-BLOCK = (
-    1 << 15
-)  # nodes at once: their arrays stay in the cache, and no memory is fetched anew each time
+BLOCK = 1 << 15
+"""Nodes at once: their arrays stay in the cache, and no memory is fetched anew each time."""
+
 TURNS = 1024  # parts of a turn at which cosine and sine are tabulated
 COSINES = np.cos(2 * np.pi / TURNS * np.arange(TURNS))
 SINES = np.sin(2 * np.pi / TURNS * np.arange(TURNS))
 TURN_DEG = 0.05  # of a rim, in differences
-HALF_MODULATION_GRID = (
-    200  # frequencies up to the cutoff among which the first below one half is looked for
-)
+HALF_MODULATION_GRID = 200
+"""Frequencies up to the cutoff among which the first below one half is searched."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -223,13 +222,9 @@ def transfer_function(
     falling phase along x. slopes: whether derivatives are computed; they are 0 otherwise
     """
     if not wavefront.rim.is_round:
-        return rim_transfer(wavefront, frequency_per_mm, azimuth_deg, slopes)
-    return _slice(
-        wavefront,
-        frequency_per_mm,
-        _tables(wavefront.noll, np.deg2rad(azimuth_deg)),
-        slopes,
-    )
+        return _rim_transfer(wavefront, frequency_per_mm, azimuth_deg, slopes)
+    tables = _tables(wavefront.noll, np.deg2rad(azimuth_deg))
+    return _slice(wavefront, frequency_per_mm, tables, slopes)
 
 
 def turning_transfer_function(
@@ -241,9 +236,9 @@ def turning_transfer_function(
     of the same sums.
     """
     if not wavefront.rim.is_round:
-        value, slopes = rim_transfer(wavefront, frequency_per_mm, azimuth_deg)
+        value, slopes = _rim_transfer(wavefront, frequency_per_mm, azimuth_deg)
         after, before = (
-            rim_transfer(wavefront, frequency_per_mm, azimuth_deg + d)[0]
+            _rim_transfer(wavefront, frequency_per_mm, azimuth_deg + d)[0]
             for d in (TURN_DEG, -TURN_DEG)
         )
         by_turn = (after - before) / (2 * np.deg2rad(TURN_DEG))
@@ -422,25 +417,13 @@ SAMPLED_RADIUS = 100.0
 """Of the pupil, samples; its window is as many times 2 lambda N wide."""
 
 
-def rim_transfer(
+def _rim_transfer(
     wavefront: FittedWavefront,
     frequency_per_mm: Floats,
     azimuth_deg: float,
     slopes: bool = True,
 ) -> tuple[Complexes, Complexes]:
-    """Return the transfer function of a pupil of any rim, as `labkit.optics.mtf.transfer_function`.
-
-    Parameters
-    ----------
-    wavefront : modes and light
-    frequency_per_mm : (f,) cycles/mm on the sensor
-    azimuth_deg : direction of the frequencies, from x towards y
-    slopes : whether derivatives are computed
-
-    Returns
-    -------
-    (f,), and (modes, f) its derivatives per wave RMS, 0 where they are not computed
-    """
+    """Return `transfer_function` for a pupil of any rim."""
     value = np.zeros(len(frequency_per_mm), complex)
     by_mode = np.zeros((len(wavefront.noll), len(frequency_per_mm)), complex)
     turn = np.deg2rad(azimuth_deg)
