@@ -11,6 +11,7 @@ The aperture is drawn on a grid with a smooth edge, so that its transform hardly
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import TypeVar
 
 import numpy as np
@@ -143,13 +144,20 @@ def smooth_outline(offsets: Floats, edges: Sequence[Floats]) -> Floats:
             size * size,
         )
     region = np.cumsum(passed.reshape(size, size)[:, ::-1], axis=1)[:, ::-1]
+    flatten = _flatten(size)
+    return np.asarray(flatten @ region @ flatten)
+
+
+@lru_cache(maxsize=16)
+def _flatten(size: int) -> Floats:
+    """Return the matrix (size, size) that corrects the lowest frequencies of samples along an axis."""
     differ = 2 * np.eye(size) - np.eye(size, k=1) - np.eye(size, k=-1)
     flatten = np.eye(size)
     power = np.eye(size)
     for factor in FLATTER:
         power = power @ differ
         flatten += factor * power
-    return np.asarray(flatten @ region @ flatten)
+    return flatten
 
 
 def _spline(t: Floats, degree: int) -> Floats:

@@ -22,7 +22,7 @@ from tests.plans import SMALL, plan_text, simulated
 from .conftest import ADDRESS
 
 FEW = {
-    "camera": {"frames_per_range": 2, "flats_per_range": 4, "darks": 2},
+    "camera": {"frames_per_range": 1, "flats_per_range": 4, "darks": 2},
     "fit": {"zernike_noll": [4, 6]},
 }
 MONO = {
@@ -30,14 +30,14 @@ MONO = {
     "target": {"order": 3, "size_mm": 18.9},
 }
 PLAN = plan_text(SMALL, {"target": MONO["target"], "fit": FEW["fit"]})
-TWO_RANGES = simulated([2000, 2060], 1950.0, ADDRESS)
+ONE_RANGE = simulated([2060], 1950.0, ADDRESS)
 
 
 @pytest.fixture(scope="module")
 def raw(tmp_path_factory: pytest.TempPathFactory) -> Results:
     """The results of raw files of a sensor without filters, which need no demosaicing."""
     folder = tmp_path_factory.mktemp("raw")
-    text = plan_text(SMALL, TWO_RANGES, FEW, MONO)
+    text = plan_text(SMALL, ONE_RANGE, FEW, MONO)
     with (
         Session.create(folder / "session", text, folder) as opened,
         open_devices(opened.plan) as devices,
@@ -113,5 +113,6 @@ def test_pictures_of_8_bit_give_the_raw_files_wavefront(
     # the same photons: what differs is the rounding's alone, well below the photons' noise
     # both sessions leave the sign of the even modes open: of twins the nearer one counts
     twins = [found.waves] if found.twin is None else [found.waves, found.twin.waves]
-    assert min(np.abs((one - expected.waves) / std).max() for one in twins) < 1.5
+    off = min(np.abs((one - expected.waves) / std).max() for one in twins)
+    assert off < 0.045  # 0.023 measured
     assert any("sRGB" in warning and "PSF" in warning for warning in results.warnings)

@@ -17,7 +17,7 @@ from labkit.errors import DataError
 from labkit.report.html import write_report
 from labkit.results import Results
 from tests.results_contracts import CONTRACT_3, printed
-from tests.results_samples import full_results, written
+from tests.results_samples import full_results, some_results, written
 
 
 def test_residuals_with_any_bit_flipped_are_read_or_refused_in_one_line(
@@ -25,7 +25,7 @@ def test_residuals_with_any_bit_flipped_are_read_or_refused_in_one_line(
 ) -> None:
     file = written(tmp_path) / "residuals.npz"
     whole, rng, refused = file.read_bytes(), np.random.default_rng(3), []
-    for at in rng.integers(8 * len(whole), size=300):
+    for at in rng.integers(8 * len(whole), size=100):
         damaged = bytearray(whole)
         damaged[at // 8] ^= 1 << int(at % 8)
         file.write_bytes(damaged)
@@ -33,7 +33,7 @@ def test_residuals_with_any_bit_flipped_are_read_or_refused_in_one_line(
             Results.load(file.parent)
         except DataError as error:
             refused.append(str(error))
-    assert len(refused) > 270  # zip's checksums hold all but its unused fields
+    assert len(refused) > 90  # zip's checksums hold all but its unused fields
     line = re.compile(rf"cannot read {file}: .*; fit the session again")
     assert [text for text in refused if not line.fullmatch(text)] == []
 
@@ -117,14 +117,14 @@ def changed(file: Path, where: str, value: Any) -> None:
 
 
 def test_a_report_of_numbers_of_no_lens_is_refused_in_one_line(tmp_path: Path) -> None:
-    changed(full_results().write(tmp_path), "lens.f_number.value", 1e9)
+    changed(some_results().write(tmp_path), "lens.f_number.value", 1e9)
     with pytest.raises(DataError, match="no report can be made of") as caught:
         write_report(tmp_path)
     assert "\n" not in str(caught.value)
 
 
 def test_a_residual_that_is_not_known_is_reported(tmp_path: Path) -> None:
-    changed(full_results().write(tmp_path), "focus.residual_waves.R.0", None)
+    changed(some_results().write(tmp_path), "focus.residual_waves.R.0", None)
     assert write_report(tmp_path).exists()
 
 
@@ -159,7 +159,7 @@ def test_results_damaged_at_random_are_read_or_refused_in_one_line(
     (tmp_path / "residuals.npz").unlink()
     whole, rng = file.read_bytes(), random.Random(11)
     said = []
-    for _ in range(250):
+    for _ in range(100):
         file.write_bytes(damage(whole, rng))
         try:
             Results.load(tmp_path)
