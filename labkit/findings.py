@@ -219,6 +219,15 @@ TEXTS = {
     "panel-aperture-found": (
         "a stripe of the panel's pixels is lit over {across} of its third, and over {down} of the pitch"
     ),
+    # edges
+    "ranges-not-determined": (
+        "ranges are not determined: give --psf SESSION with a best focus, or --focus MM"
+    ),
+    "psf-of-another-camera": "PSF of another camera, by force: {difference}",
+    "edge-methods-disagree": (
+        "box {at}, channel {channel}: MTF50 is {fit} by the fit and {iso} by ISO 12233, more apart than their errors allow: "
+        "see whether the box holds one straight edge between even sides"
+    ),
 }
 """The sentence of each code. `where` is the key's label; other names are numbers, or words made of them."""
 

@@ -28,7 +28,7 @@ def check_same_camera(
     *,
     force: bool = False,
 ) -> list[str]:
-    """Return the contradictions between a session's camera and a plan's photographs, as warnings.
+    """Return the contradictions between a session's camera and a plan's photographs, in words.
 
     Lens, aperture, sensor, channels and camera body are compared. camera: body as the
     photographs state it, empty if they do not. Raises DataError with all contradictions and
@@ -42,7 +42,7 @@ def check_same_camera(
         raise DataError(
             f"the session's PSF is of another camera: {'; '.join(wrong)}; give a session of the same one, or --force"
         )
-    return [f"PSF of another camera, by force: {words}" for words in wrong]
+    return wrong
 
 
 def _numbers(theirs: Plan, ours: Plan) -> list[str]:

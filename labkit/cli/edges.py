@@ -136,7 +136,7 @@ def _show(
     console: Console, outcome: EdgesOutcome, image: Path, plan: Plan, out: Path | None
 ) -> None:
     """Print the measured edges. Raises DataError if no edge could be measured."""
-    console.warn(*outcome.warnings)
+    console.warn(*(finding.text for finding in outcome.findings))
     measured = bool(outcome.edges) or any(of.responses for of in outcome.rejected)
     if measured:
         console.table(outcome.rows())

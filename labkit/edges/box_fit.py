@@ -12,24 +12,16 @@ from labkit.edges.camera import Camera
 from labkit.edges.defocus_sides import sides_of
 from labkit.edges.edge_fit import EXACTLY, ROUGHLY, EdgeFit, EdgeProblem
 from labkit.edges.esfr import Esfr, Plane, esfr
-from labkit.edges.first_fits import (
-    coherent_rms,
-    fit_depth,
-    halves,
-    refuse_no_edge,
-    refuse_uneven,
-    rough_edge,
-)
+from labkit.edges.first_fits import fit_depth, halves, refuse_structure, rough_edge
 from labkit.edges.ranges import Side
 from labkit.edges.region import Region
 from labkit.errors import DataError, FitError
 
 DIFFERENT = 6.0  # standard errors between the defoci of an edge's halves
-DIFFERENT_WAVES, DIFFERENT_SHARE = (
-    0.08,
-    0.1,
-)  # at least: waves RMS, and share of the defocus
+DIFFERENT_WAVES = 0.08  # at least, waves RMS
+DIFFERENT_SHARE = 0.1  # at least, of the defocus
 MOST_LEFT = 0.06  # of the step: what residuals share with their neighbours, RMS
+SINGULAR = "it holds no edge that can be fitted: the information is singular"
 
 
 @dataclass(frozen=True)
@@ -40,25 +32,41 @@ class BoxTask:
     ----------
     place, camera : the box, and the camera in this colour
     regions : one for each frame
-    rounding_variance : counts² that stored numbers add to the read noise
-    planes : samples of the first frame for ISO 12233; empty if the method cannot be applied
-    iso_problem : why not
+    planes : samples of the first frame for ISO 12233; empty if some are clipped
     """
 
     place: Place
     camera: Camera
     regions: tuple[Region, ...]
-    rounding_variance: float
     planes: tuple[Plane, ...]
-    iso_problem: str
+
+    @classmethod
+    def of(cls, frames: Sequence[ChannelFrame], camera: Camera, place: Place) -> BoxTask:
+        """Return the task of one box in all frames. Raises DataError for too few pixels."""
+        regions = tuple(of.region(place, j) for j, of in enumerate(frames))
+        # rounding adds to the read noise
+        rounding = float(np.mean(frames[0].rounding[place.slices]))
+        read_variance = camera.noise.read_variance + rounding
+        noise = replace(camera.noise, read_variance=read_variance)
+        camera = replace(camera, noise=noise)
+        return cls(place, camera, regions, frames[0].planes(place))
 
     @property
     def problem(self) -> EdgeProblem:
         """All frames of the box, of one depth."""
-        noise = self.camera.noise
-        noise = replace(noise, read_variance=noise.read_variance + self.rounding_variance)
-        noises = (noise,) * len(self.regions)
-        return EdgeProblem((self.camera.optics,), self.regions, noises, self.camera.lens)
+        camera = self.camera
+        noises = (camera.noise,) * len(self.regions)
+        return EdgeProblem((camera.optics,), self.regions, noises, camera.lens)
+
+    def measured(self) -> tuple[Esfr | None, str]:
+        """Return the response by ISO 12233, and why it or its MTF50 is missing."""
+        if not self.planes:
+            return None, "clipped pixels are in the box"
+        try:
+            found = esfr(self.planes, self.camera.optics.pitch_um)
+        except DataError as error:
+            return None, str(error)
+        return found, found.problem
 
 
 @dataclass(frozen=True)
@@ -89,18 +97,10 @@ class BoxFit:
         """The likeliest end."""
         return self.ends[0]
 
-
-def box_task(frames: Sequence[ChannelFrame], camera: Camera, place: Place) -> BoxTask:
-    """Return the task of one box in all frames. Raises DataError for too few pixels."""
-    regions = tuple(of.region(place, j) for j, of in enumerate(frames))
-    planes = tuple[Plane, ...]()
-    problem = ""
-    try:
-        planes = tuple(frames[0].planes(place))
-    except DataError as error:
-        problem = str(error)
-    rounding = float(np.mean(frames[0].rounding[place.slices]))
-    return BoxTask(place, camera, regions, rounding, planes, problem)
+    @property
+    def channel(self) -> str:
+        """Name of the colour."""
+        return self.task.camera.channel
 
 
 def fit_box(task: BoxTask) -> BoxFit:
@@ -108,37 +108,25 @@ def fit_box(task: BoxTask) -> BoxFit:
     box = BoxFit(task)
     try:
         rough = [rough_edge(region) for region in task.regions]
-        for region, found in zip(task.regions, rough, strict=True):
-            refuse_no_edge(region, found)
-        box = _by_the_standard(box)
-        for region, found in zip(task.regions, rough, strict=True):
-            refuse_uneven(region, found)
+        for of in rough:
+            of.refuse_no_edge()
+        iso, problem = task.measured()
+        box = replace(box, iso=iso, iso_problem=problem)
+        for of in rough:
+            of.refuse_uneven()
         ends = fit_depth(task.problem, rough, EXACTLY if task.camera.given else ROUGHLY)
         _refuse_contradiction(ends[0])
         sides = sides_of(ends) if task.camera.given else ()
     except (DataError, FitError) as error:
         return replace(box, why=str(error))
     except np.linalg.LinAlgError:
-        why = "it holds no edge that can be fitted: the information is singular"
-        return replace(box, why=why)
+        return replace(box, why=SINGULAR)
     return replace(box, ends=ends, sides=sides)
-
-
-def _by_the_standard(box: BoxFit) -> BoxFit:
-    """Add the response by ISO 12233, and why it or its MTF50 is missing."""
-    if not box.task.planes:
-        return replace(box, iso_problem=box.task.iso_problem)
-    try:
-        found = esfr(box.task.planes, box.task.camera.optics.pitch_um)
-    except DataError as error:
-        return replace(box, iso_problem=str(error))
-    return replace(box, iso=found, iso_problem=found.problem)
 
 
 def _refuse_contradiction(fit: EdgeFit) -> None:
     """Raise DataError for residuals that contradict one straight edge at one depth."""
-    parts = halves(fit)
-    if parts is not None:
+    if parts := halves(fit):
         (one, one_std), (other, other_std) = (part.defocus() for part in parts)
         share = DIFFERENT_SHARE * max(abs(one), abs(other))
         allowed = max(DIFFERENT * np.hypot(one_std, other_std), DIFFERENT_WAVES, share)
@@ -148,11 +136,6 @@ def _refuse_contradiction(fit: EdgeFit) -> None:
                 f"{other:.3f} ± {other_std:.3f} waves; take a box for each"
             )
     region = fit.problem.regions[0]
-    edge = fit.state.edge(0)
     of, _ = fit.problem.slopes(fit.state, 0)
-    left = coherent_rms(region, edge, region.counts - of.mean) / abs(edge.far - edge.near)
-    if left > MOST_LEFT:
-        raise DataError(
-            f"it holds no straight edge between two even sides: what the fit leaves varies by {left:.0%} of the step, at "
-            f"most {MOST_LEFT:.0%} is allowed; take a smaller box"
-        )
+    left = region.counts - of.mean
+    refuse_structure(region, fit.state.edge(0), left, "the fit leaves", MOST_LEFT)

@@ -63,7 +63,9 @@ class ChannelFrame:
         return [Place(each.box, each) for each in found]
 
     def region(self, place: Place, frame: int) -> Region:
-        """Return the usable pixels in a box, or around the found edge. Raises DataError for too few."""
+        """Return the usable pixels in a box, or around the found edge. Raises DataError for a wrong box, and for too few."""
+        if place.found is None:
+            _refuse_box(place.box, self.light.shape)
         cut = place.slices
         y, x = np.mgrid[cut].astype(float)
         used = self.usable[cut]
@@ -78,24 +80,22 @@ class ChannelFrame:
             )
         return Region(y[used], x[used], self.light[cut][used], centre, frame)
 
-    def planes(self, place: Place) -> list[Plane]:
-        """Return a box's samples by plane, all of one size. Raises DataError where a sample is saturated."""
+    def planes(self, place: Place) -> tuple[Plane, ...]:
+        """Return a box's samples by plane, all of one size; none if a sample is clipped."""
         step = self.pixels.period
         r0, c0, r1, c1 = place.box
-        cuts = [
-            (
-                slice(r0 + (row - r0) % step, r1, step),
-                slice(c0 + (column - c0) % step, c1, step),
-            )
+        firsts = [
+            (r0 + (row - r0) % step, c0 + (column - c0) % step)
             for row, column in self.pixels.places
         ]
+        cuts = [np.s_[row:r1:step, column:c1:step] for row, column in firsts]
         if not all(self.usable[cut].all() for cut in cuts):
-            raise DataError("clipped pixels are in the box")
+            return ()
         rows, columns = np.min([self.light[cut].shape for cut in cuts], axis=0)
-        return [
-            Plane(self.light[cut][:rows, :columns], (cut[0].start, cut[1].start), step)
-            for cut in cuts
-        ]
+        return tuple(
+            Plane(self.light[cut][:rows, :columns], first, step)
+            for cut, first in zip(cuts, firsts, strict=True)
+        )
 
 
 def read_frames(paths: Sequence[Path], plan: Plan) -> list[Photograph]:
@@ -110,15 +110,16 @@ def read_frames(paths: Sequence[Path], plan: Plan) -> list[Photograph]:
     return photographs
 
 
-def checked_box(box: Box, shape: tuple[int, int]) -> str | None:
-    """Return the fault of a box in a picture of (rows, columns), in one line; None if it can be used."""
+def _refuse_box(box: Box, shape: tuple[int, ...]) -> None:
+    """Raise DataError, one line, for a box that is too small or not in a picture of (rows, columns)."""
     r0, c0, r1, c1 = box
     rows, columns = shape
-    if r1 - r0 < LEAST_BOX_SIDE_PX or c1 - c0 < LEAST_BOX_SIDE_PX:
-        spans = f"{r1 - r0} rows and {c1 - c0} columns"
-        return f"the box spans {spans}: R0,C0,R1,C1 with {LEAST_BOX_SIDE_PX} of each at least is needed"
-    if r0 < 0 or c0 < 0 or r1 > rows or c1 > columns:
-        return (
+    if min(r1 - r0, c1 - c0) < LEAST_BOX_SIDE_PX:
+        raise DataError(
+            f"the box spans {r1 - r0} rows and {c1 - c0} columns: R0,C0,R1,C1 with {LEAST_BOX_SIDE_PX} of each at least is "
+            "needed"
+        )
+    if min(r0, c0) < 0 or r1 > rows or c1 > columns:
+        raise DataError(
             f"the box lies outside the image, which has {rows} rows and {columns} columns"
         )
-    return None

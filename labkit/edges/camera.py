@@ -104,7 +104,7 @@ def focus_law(
     return FocusLaw(
         lens,
         names,
-        tuple(foci.tolist()),
+        foci,
         covariance,
         (plan if results is None else results).reference_wavelength_nm,
         plan.fit.convention,

@@ -20,65 +20,63 @@ MOST_JOINT = 10  # boxes that a wavefront is estimated with: more add little inf
 CONTRADICTS = 5.0  # standard errors from the mean of the others
 ALIKE_WAVES = 0.01  # RMS by which defoci of one range may differ, for a curved field and a tilted sensor
 
-Fits = dict[Place, dict[str, BoxFit]]
-"""By box and channel."""
 
-
-def in_common(fits: Fits, one_range: bool) -> Fits:
+def in_common(boxes: Sequence[BoxFit], one_range: bool) -> list[BoxFit]:
     """Fit boxes again with what they have in common.
 
     With a given wavefront only a declared range is common. A wavefront that is estimated is common to all edges and
     colours, and does not determine the side of best focus.
     """
-    first = next((of for by_name in fits.values() for of in by_name.values()), None)
-    if first is None:
-        return fits
-    if not first.task.camera.given:
-        return _with_wavefront(fits, one_range)
-    return _of_one_range(fits) if one_range else fits
+    if boxes and not boxes[0].task.camera.given:
+        return _with_wavefront(boxes, one_range)
+    if not one_range:
+        return list(boxes)
+    return [of for every in by_channel(boxes).values() for of in _of_one_range(every)]
 
 
-def correlation(fits: Sequence[BoxFit]) -> Floats | None:
+def by_channel(boxes: Sequence[BoxFit]) -> dict[str, list[BoxFit]]:
+    """Return the boxes of each colour."""
+    names = dict.fromkeys(of.channel for of in boxes)
+    return {name: [of for of in boxes if of.channel == name] for name in names}
+
+
+def correlation(boxes: Sequence[BoxFit]) -> Floats | None:
     """Return the correlation (colours, colours) of the errors of a box's defoci; None for separate fits."""
-    if any(of.fit is not fits[0].fit for of in fits):
+    fit = boxes[0].fit
+    if any(of.fit is not fit for of in boxes):
         return None
-    covariance = fits[0].fit.defocus_covariance([of.depth for of in fits])
+    covariance = fit.among(fit.state.places.defoci[[of.depth for of in boxes]])
     std = np.sqrt(np.diag(covariance))
     return np.asarray(covariance / np.outer(std, std))
 
 
-def contradictions(fits: Fits) -> dict[Place, str]:
+def contradictions(boxes: Sequence[BoxFit]) -> dict[Place, str]:
     """Return the boxes that contradict the range that all are declared to have, each with a sentence."""
     found: dict[Place, str] = {}
-    for name in _names(fits):
-        boxes = {p: of[name] for p, of in fits.items() if name in of and p not in found}
-        ends = [end.defocus() for end in _one_side([*boxes.values()])]
-        value = np.array([defocus for defocus, _ in ends])
-        std = np.hypot([error for _, error in ends], ALIKE_WAVES)
-        places = [*boxes]
-        left = list(range(len(boxes)))
+    for every in by_channel(boxes).values():
+        left = [of for of in every if of.task.place not in found]
+        value, std = _defoci(_one_side(left))
         while len(left) > 1:
-            pulls = {}
-            for k in left:
-                others = [j for j in left if j != k]
-                mean, error = _mean(value[others], std[others])
-                pull = abs(value[k] - mean) / float(np.hypot(std[k], error))
-                pulls[k] = pull, float(std[k]), mean, error
-            worst = max(left, key=lambda k: (round(pulls[k][0], 6), pulls[k][1]))
-            pull, own, mean, error = pulls[worst]
-            if pull < CONTRADICTS:
+            weight = 1 / std**2
+            others = weight.sum() - weight
+            mean = (weight @ value - weight * value) / others
+            error = 1 / np.sqrt(others)
+            pull = np.abs(value - mean) / np.hypot(std, error)
+            k = max(range(len(left)), key=lambda j: (pull[j].round(6), std[j]))
+            if pull[k] < CONTRADICTS:
                 break
-            found[places[worst]] = (
-                f"declared to be at one range with the others, but its defocus, {value[worst]:.3f} ± {own:.3f} waves, "
-                f"contradicts theirs, {mean:.3f} ± {error:.3f}"
+            found[left.pop(k).task.place] = (
+                f"declared to be at one range with the others, but its defocus, {value[k]:.3f} ± {std[k]:.3f} waves, "
+                f"contradicts theirs, {mean[k]:.3f} ± {error[k]:.3f}"
             )
-            left.remove(worst)
+            value, std = np.delete([value, std], k, axis=1)
     return found
 
 
-def _names(fits: Fits) -> list[str]:
-    """Return the names of all channels."""
-    return list(dict.fromkeys(name for by_name in fits.values() for name in by_name))
+def _defoci(ends: Sequence[EdgeFit]) -> Floats:
+    """Return defoci and their errors (2, n) as of one range, waves."""
+    value, std = np.reshape([end.defocus() for end in ends], (-1, 2)).T
+    return np.stack([value, np.hypot(std, ALIKE_WAVES)])
 
 
 def _mean(value: Floats, std: Floats) -> tuple[float, float]:
@@ -87,127 +85,117 @@ def _mean(value: Floats, std: Floats) -> tuple[float, float]:
     return float(weight @ value / weight.sum()), float(weight.sum() ** -0.5)
 
 
-def _one_side(fits: Sequence[BoxFit]) -> list[EdgeFit]:
+def _one_side(boxes: Sequence[BoxFit]) -> list[EdgeFit]:
     """Return an end of each fit, all on the side of best focus that is likelier and agrees better."""
-    best = [of.fit for of in fits]
-    least = np.inf
+    costs = []
     for sign in (1, -1):
-        ends = [max(of.ends, key=lambda end: sign * end.defocus()[0]) for of in fits]
-        value = np.array([end.defocus()[0] for end in ends])
-        std = np.hypot([end.defocus()[1] for end in ends], ALIKE_WAVES)
-        mean, _ = _mean(value, std)
+        ends = [max(of.ends, key=lambda end: sign * end.defocus()[0]) for of in boxes]
+        value, std = _defoci(ends)
+        pulls = (value - _mean(value, std)[0]) / std
         # a contradiction counts for no more than it takes to be found
-        cost = float(np.sum(np.minimum(((value - mean) / std) ** 2, CONTRADICTS**2)))
-        cost -= 2 * sum(
-            end.objective - of.fit.objective for end, of in zip(ends, fits, strict=True)
+        agreement = float(np.minimum(pulls**2, CONTRADICTS**2).sum())
+        lost = sum(
+            of.fit.objective - end.objective for of, end in zip(boxes, ends, strict=True)
         )
-        if cost < least:
-            best = ends
-            least = cost
-    return best
+        costs.append((agreement + 2 * lost, ends))
+    return min(costs, key=lambda of: of[0])[1]
 
 
-def _of_one_range(fits: Fits) -> Fits:
-    """Fit the boxes of each colour with one defocus, the wavefront given."""
-    found: Fits = {place: {} for place in fits}
-    for name in _names(fits):
-        boxes = {place: of[name] for place, of in fits.items() if name in of}
-        every = [*boxes.values()]
-        ends = _one_side(every)
-        task = every[0].task.problem
-        regions = tuple(region for of in every for region in of.task.regions)
-        problem = EdgeProblem(task.optics, regions, task.noise, task.lens)
-        start, _ = _mean(*np.array([end.defocus() for end in ends]).T)
-        edges = [end.state.edge(k) for end in ends for k in range(len(end.state.edges))]
-        fit = fit_edges(problem, problem.start([start], edges))
-        sides = near_focus(fit) or _both(fit, every)
-        first = 0
-        for place, of in boxes.items():
-            found[place][name] = replace(of, ends=(fit,), sides=sides, first=first)
-            first += len(of.task.regions)
-    return found
+def _together(
+    boxes: Sequence[BoxFit], depths: Sequence[int]
+) -> tuple[EdgeProblem, list[BoxFit]]:
+    """Return the problem of boxes in any colours, each at a depth, and the boxes with their places in it."""
+    tasks = {name: of[0].task for name, of in by_channel(boxes).items()}
+    regions: list[Region] = []
+    placed = []
+    for of, depth in zip(boxes, depths, strict=True):
+        light = [*tasks].index(of.channel)
+        placed.append(replace(of, first=len(regions), depth=depth))
+        first = light * len(of.task.regions)
+        regions += [
+            replace(region, frame=first + region.frame, depth=depth, light=light)
+            for region in of.task.regions
+        ]
+    problems = [task.problem for task in tasks.values()]
+    problem = EdgeProblem(
+        tuple(of.optics[0] for of in problems),
+        tuple(regions),
+        tuple(noise for of in problems for noise in of.noise),
+        problems[0].lens,
+    )
+    return problem, placed
 
 
-def _both(fit: EdgeFit, fits: Sequence[BoxFit]) -> tuple[Side, ...]:
+def _of_one_range(boxes: Sequence[BoxFit]) -> list[BoxFit]:
+    """Fit the boxes of one colour with one defocus, the wavefront given."""
+    ends = _one_side(boxes)
+    problem, placed = _together(boxes, [0] * len(boxes))
+    start, _ = _mean(*np.array([end.defocus() for end in ends]).T)
+    edges = np.concatenate([end.state.edges for end in ends])
+    fit = fit_edges(problem, problem.start([start], edges))
+    sides = near_focus(fit) or _both(fit, boxes)
+    return [replace(of, ends=(fit,), sides=sides) for of in placed]
+
+
+def _both(fit: EdgeFit, boxes: Sequence[BoxFit]) -> tuple[Side, ...]:
     """Return the side of a fit of one depth, and the other side if each box by itself may be on it."""
-    sign = np.sign(fit.defocus()[0])
+    beyond = fit.defocus()[0] > 0
     lost = 0.0
     values = []
-    for of in fits:
-        other = [end for end in of.ends if np.sign(end.defocus()[0]) != sign]
-        same = [end for end in of.ends if np.sign(end.defocus()[0]) == sign]
-        if not other:
+    for of in boxes:
+        ends = {end.defocus()[0] > 0: end for end in of.ends[::-1]}
+        other = ends.get(not beyond)
+        if other is None:
             return (side_of(fit),)
-        lost += other[0].objective - (same or other)[0].objective
-        values.append(other[0].defocus())
+        lost += other.objective - ends.get(beyond, other).objective
+        values.append(other.defocus())
     return side_of(fit), Side(*_mean(*np.array(values).T), fit.objective + lost)
 
 
-def _with_wavefront(fits: Fits, one_range: bool) -> Fits:
+def _with_wavefront(boxes: Sequence[BoxFit], one_range: bool) -> list[BoxFit]:
     """Fit the clearest boxes in all colours with one wavefront, and the others with the wavefront so estimated."""
-    clear = sorted(
-        fits, key=lambda place: min(of.fit.edge_std(0)[1] for of in fits[place].values())
-    )
-    few = clear if one_range else clear[:MOST_JOINT]
-    found = _fitted_along({place: fits[place] for place in few}, one_range)
-    lens = next(iter(found[few[0]].values())).fit.lens
-    for place in clear[len(few) :]:
-        found[place] = {}
-        for name, of in fits[place].items():
-            camera = replace(of.task.camera, lens=lens, given=True)
-            known = fit_box(replace(of.task, camera=camera, planes=()))
-            ends = known.ends or of.ends
-            side = known.sides[0] if known.sides else side_of(ends[0])
-            sides = side, replace(side, defocus=-side.defocus)
-            found[place][name] = replace(of, ends=ends, sides=sides)
-    return found
+    error: dict[Place, float] = {}
+    for of in boxes:
+        known = error.get(of.task.place, np.inf)
+        error[of.task.place] = min(known, of.fit.std.edges[0, 1])
+    clear = sorted(boxes, key=lambda of: error[of.task.place])
+    few = [*dict.fromkeys(of.task.place for of in clear)]
+    few = few if one_range else few[:MOST_JOINT]
+    joint = _fitted_along([of for of in clear if of.task.place in few], one_range)
+    others = [of for of in clear if of.task.place not in few]
+    return joint + [_with_lens(of, joint[0].fit) for of in others]
 
 
-def _fitted_along(fits: Fits, one_range: bool) -> Fits:
+def _with_lens(box: BoxFit, joint: EdgeFit) -> BoxFit:
+    """Fit a box with the wavefront estimated from others."""
+    camera = replace(box.task.camera, lens=joint.lens, given=True)
+    known = fit_box(replace(box.task, camera=camera, planes=()))
+    ends = known.ends or box.ends
+    side = known.sides[0] if known.sides else side_of(ends[0])
+    return replace(box, ends=ends, sides=(side, replace(side, defocus=-side.defocus)))
+
+
+def _fitted_along(boxes: Sequence[BoxFit], one_range: bool) -> list[BoxFit]:
     """Fit boxes in all colours and the wavefront together."""
-    names = _names(fits)
-    boxes = [of for by_name in fits.values() for of in by_name.values()]
-    of_name = {name: [f[name] for f in fits.values() if name in f] for name in names}
-    tasks = [of_name[name][0].task for name in names]
-    regions: list[Region] = []
-    defoci: dict[int, float] = {}
-    groups: dict[int, int] = {}
-    placed: dict[int, tuple[int, int]] = {}
-    for group, by_name in enumerate(fits.values()):
-        for name, of in by_name.items():
-            light = names.index(name)
-            depth = light if one_range else len(defoci)
-            placed[id(of)] = len(regions), depth
-            defoci.setdefault(depth, of.fit.defocus()[0])
-            groups.setdefault(depth, 0 if one_range else group)
-            for region in of.task.regions:
-                frame = region.frame + len(of.task.regions) * light
-                regions.append(replace(region, frame=frame, depth=depth, light=light))
-    joint = fit_jointly(
-        EdgeProblem(
-            tuple(task.camera.optics for task in tasks),
-            tuple(regions),
-            tuple(noise for task in tasks for noise in task.problem.noise),
-            tasks[0].camera.lens,
-        ),
-        [*defoci.values()],
+    colours = by_channel(boxes)
+    names = [*colours]
+    depths = [names.index(of.channel) if one_range else k for k, of in enumerate(boxes)]
+    problem, placed = _together(boxes, depths)
+    first = [depths.index(depth) for depth in range(problem.depths)]
+    noise = [
+        np.median([of.fit.state.log_noise for of in every], axis=0)
+        for every in colours.values()
+    ]
+    start = problem.start(
+        [boxes[k].fit.defocus()[0] for k in first],
         np.concatenate([of.fit.state.edges for of in boxes]),
-        [*groups.values()],
-        np.concatenate(
-            [
-                np.median([of.fit.state.log_noise for of in of_name[name]], axis=0)
-                for name in names
-            ]
-        ),
+        np.concatenate(noise),
     )
-    other = twin(joint)
-
-    def standing(of: BoxFit) -> BoxFit:
-        first, depth = placed[id(of)]
-        sides = side_of(joint, depth), side_of(other, depth)
-        return replace(of, ends=(joint,), sides=sides, first=first, depth=depth)
-
-    return {
-        place: {name: standing(of) for name, of in by_name.items()}
-        for place, by_name in fits.items()
-    }
+    places = [*dict.fromkeys(of.task.place for of in boxes)]
+    groups = [0 if one_range else places.index(boxes[k].task.place) for k in first]
+    joint = fit_jointly(problem, start, groups)
+    ends = (joint, twin(joint))
+    return [
+        replace(of, ends=(joint,), sides=tuple(side_of(end, of.depth) for end in ends))
+        for of in placed
+    ]

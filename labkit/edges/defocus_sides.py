@@ -32,23 +32,21 @@ MOST_VALUES, FINE = 40, 2001  # on either side; of the curve through them
 
 def sides_of(ends: Sequence[EdgeFit]) -> tuple[Side, ...]:
     """Return the sides of the ends of a fit with one defocus, likelier first."""
-    straight = [_is_parabola(end, 0) for end in ends]
     sides: list[Side] = []
+    straight = []
     followed: list[tuple[float, float]] = []
 
     def known(end: EdgeFit) -> bool:
         return any(low <= end.defocus()[0] <= high for low, high in followed)
 
-    for end, is_straight in zip(ends, straight, strict=True):
-        if not is_straight and not known(end):
+    for end in ends:
+        if _is_parabola(end, 0):
+            straight.append(end)
+        elif not known(end):
             values, likelihood = _profile(end, 0)
             followed.append((values[0], values[-1]))
             sides += _sides(values, likelihood)
-    sides += [
-        side_of(end)
-        for end, is_straight in zip(ends, straight, strict=True)
-        if is_straight and not known(end)
-    ]
+    sides += [side_of(end) for end in straight if not known(end)]
     return _likelier_first(sides)
 
 
@@ -83,12 +81,9 @@ def _profile(fit: EdgeFit, depth: int) -> tuple[Floats, Floats]:
     for step in STEPS * np.fmin(std, WIDEST):
         for sign in (-1, 1):  # outwards, until values are excluded
             for value in best + sign * step * np.arange(1, MOST_VALUES):
-                nearest = min(found, key=lambda known: abs(known - value))
-                found[value] = (
-                    found[nearest]
-                    if nearest == value
-                    else _held(fit, found[nearest].state, depth, value)
-                )
+                if value not in found:
+                    nearest = min(found, key=lambda known: abs(known - value))
+                    found[value] = _held(fit, found[nearest].state, depth, value)
                 top = max(of.objective for of in found.values())
                 if top - found[value].objective > DEEPEST:
                     break
@@ -103,7 +98,7 @@ def _held(fit: EdgeFit, start: EdgeState, depth: int, value: float) -> EdgeFit:
     """Fit everything else at a defocus."""
     defoci = start.defoci.copy()
     defoci[depth] = value
-    held = (start.starts[1] + depth,)
+    held = (int(start.places.defoci[depth]),)
     return fit_edges(fit.problem, replace(start, defoci=defoci), ROUGHLY, held=held)
 
 

@@ -11,30 +11,31 @@ both as logarithms.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from labkit.edges.region import EDGE_SIZE, Edge, Region, mean_and_slopes
+from labkit.edges.region import Edge, Region, mean_and_slopes
 from labkit.estimation.climb import NoisePrior, Position, Step, climb, damped_step
 from labkit.estimation.identifiability import inverse
 from labkit.estimation.likelihood import Slopes
 from labkit.imaging.optics import Optics
 from labkit.optics.wavefront import DEFOCUS
-from labkit.types import Floats
+from labkit.types import Floats, Indices
 
-NOISE_SIZE = 2  # log gain, log read variance of a frame
-MOST_NOISE_STEP = 1.0
-MOST_WAVES_STEP = (
-    0.5  # near best focus the information on defocus vanishes: a step by it is unbounded
-)
-EXACTLY, ROUGHLY = (
-    0.03,
-    0.3,
-)  # standard errors of the last step, and of a fit that only starts another
+MOST_NOISE_STEP = 1.0  # of a logarithm
+MOST_WAVES_STEP = 0.5
+"""Near best focus the information on defocus vanishes: a step by it is unbounded."""
+
+EXACTLY = 0.03  # standard errors of the last step
+ROUGHLY = 0.3  # of a fit that only starts another
 USUAL_MODE_STD = 0.05  # waves RMS of a mode of an unknown lens
+TINY_VARIANCE = 1e-12
+"""Waves squared, so that the prior of exactly known modes is a distribution."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,6 @@ class LensPrior:
 
     mean: Floats
     covariance: Floats
-    precision: Floats = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         modes = len(self.mean)
@@ -62,62 +62,69 @@ class LensPrior:
             raise ValueError(
                 f"{modes} modes need a positive covariance ({modes}, {modes}), waves RMS squared"
             )
-        object.__setattr__(self, "precision", np.linalg.inv(self.covariance))
+
+    @cached_property
+    def precision(self) -> Floats:
+        """Inverse of the covariance."""
+        return np.asarray(np.linalg.inv(self.covariance), np.float64)
 
     @classmethod
-    def unknown(cls, modes: int, std: float = USUAL_MODE_STD) -> LensPrior:
+    def unknown(cls, modes: int) -> LensPrior:
         """Return the prior for an unknown lens."""
-        return cls(np.zeros(modes), std**2 * np.eye(modes))
+        return cls(np.zeros(modes), USUAL_MODE_STD**2 * np.eye(modes))
+
+    @classmethod
+    def known(cls, modes: Floats, covariance: Floats | float = 0.0) -> LensPrior:
+        """Return the prior of estimated modes (m,), exactly known without a covariance (m, m)."""
+        return cls(modes, covariance + TINY_VARIANCE * np.eye(modes.size))
 
 
 @dataclass(frozen=True)
 class EdgeState:
-    """A point of the parameter space.
+    """A number for each parameter: a point of the parameter space, standard errors, or places.
 
     Attributes
     ----------
     modes : (m,) alpha, waves RMS
     log_noise : (frames, 2)
     defoci : (depths,) beta, waves RMS
-    edges : (regions, 4) theta
+    edges : (regions, 4) theta, see `Edge`
     """
 
-    modes: Floats
-    log_noise: Floats
-    defoci: Floats
-    edges: Floats
+    modes: NDArray[Any]
+    log_noise: NDArray[Any]
+    defoci: NDArray[Any]
+    edges: NDArray[Any]
+
+    @property
+    def _parts(self) -> list[NDArray[Any]]:
+        return [self.modes, self.log_noise, self.defoci, self.edges]
 
     @property
     def vector(self) -> Floats:
         """All parameters in the thesis's order."""
-        parts = (self.modes, self.log_noise, self.defoci, self.edges)
-        return np.concatenate([part.ravel() for part in parts])
+        return np.concatenate([part.ravel() for part in self._parts])
 
     @property
-    def starts(self) -> tuple[int, int, int]:
-        """Places in `vector` of the first number of the noise, of the defoci and of the edges."""
-        noise = self.modes.size
-        defoci = noise + self.log_noise.size
-        return noise, defoci, defoci + self.defoci.size
+    def places(self) -> EdgeState:
+        """Places of the parameters in `vector`."""
+        return self.at(np.arange(self.vector.size))
 
-    def at(self, vector: Floats) -> EdgeState:
+    def at(self, vector: NDArray[Any]) -> EdgeState:
         """Return the state of another vector."""
-        modes, noise, defoci, edges = np.split(vector, self.starts)
-        return EdgeState(
-            modes, noise.reshape(-1, NOISE_SIZE), defoci, edges.reshape(-1, EDGE_SIZE)
-        )
+        ends = np.cumsum([part.size for part in self._parts])
+        pieces = zip(np.split(vector, ends[:-1]), self._parts, strict=True)
+        return EdgeState(*(piece.reshape(part.shape) for piece, part in pieces))
 
     def moved(self, step: Floats) -> EdgeState:
         """Return the state after a step, which changes noise by a factor of e and modes by half a wave at most."""
-        noise, defoci, edges = self.starts
-        limit = np.full(step.size, np.inf)
-        limit[:edges] = MOST_WAVES_STEP
-        limit[noise:defoci] = MOST_NOISE_STEP
+        most = (MOST_WAVES_STEP, MOST_NOISE_STEP, MOST_WAVES_STEP, np.inf)
+        limit = np.repeat(most, [part.size for part in self._parts])
         return self.at(self.vector + np.clip(step, -limit, limit))
 
     def edge(self, k: int) -> Edge:
         """Return the edge of a region."""
-        return Edge.of(self.edges[k])
+        return Edge(*self.edges[k].tolist())
 
 
 @dataclass(frozen=True)
@@ -169,42 +176,41 @@ class EdgeProblem:
         """Return the optics of a region's colour."""
         return self.optics[self.regions[k].light]
 
-    def waves(self, state: EdgeState, k: int) -> Floats:
-        """Return the wavefront (modes,) of a region."""
-        return np.concatenate([state.defoci[self.regions[k].depth, None], state.modes])
-
     def start(
         self,
-        defoci: Sequence[float],
-        edges: Sequence[Edge],
+        defoci: Sequence[float] | Floats,
+        edges: Sequence[Edge] | Floats,
         log_noise: Floats | None = None,
     ) -> EdgeState:
         """Return a state with these defoci, edges and noise (frames, 2), all else at its prior mean."""
-        expected = np.array([of.centre for of in self.noise])
+        noise = self.usual_noise if log_noise is None else log_noise
         return EdgeState(
-            self.lens.mean.copy(),
-            expected if log_noise is None else log_noise,
-            np.array(defoci, float),
-            np.array([edge.theta for edge in edges]),
+            self.lens.mean.copy(), noise, np.array(defoci, float), np.array(edges)
         )
 
-    def slopes(self, state: EdgeState, k: int) -> tuple[Slopes, list[int]]:
+    @property
+    def usual_noise(self) -> Floats:
+        """(frames, 2) prior mean of the logarithms of gain and read variance."""
+        return np.array([of.centre for of in self.noise])
+
+    def wavefront(self, values: EdgeState, k: int) -> NDArray[Any]:
+        """Return the numbers (modes,) of a region's wavefront, defocus first."""
+        return np.append(values.defoci[self.regions[k].depth], values.modes)
+
+    def slopes(self, state: EdgeState, k: int) -> tuple[Slopes, Indices]:
         """Return a region's mean and variance with slopes, (5.47)-(5.48), and the places of their parameters.
 
         The places are of the mean's parameters, then of the noise's two.
         """
         region = self.regions[k]
         mean, by_edge, by_waves = mean_and_slopes(
-            region, state.edge(k), self.optics_of(k), self.waves(state, k)
+            region, state.edge(k), self.optics_of(k), self.wavefront(state, k)
         )
         gain, read_variance = np.exp(state.log_noise[region.frame])
-        noise, defoci, edges = state.starts
-        noise += NOISE_SIZE * region.frame
-        edges += EDGE_SIZE * k
-        places = [defoci + region.depth, *range(state.modes.size)]
-        places += [*range(edges, edges + EDGE_SIZE), *range(noise, noise + NOISE_SIZE)]
+        at = state.places
+        places = [self.wavefront(at, k), at.edges[k], at.log_noise[region.frame]]
         of_mean = np.concatenate([by_waves, by_edge])
-        return Slopes(mean, gain, read_variance, of_mean=of_mean), places
+        return Slopes(mean, gain, read_variance, of_mean=of_mean), np.concatenate(places)
 
     def score(self, state: EdgeState) -> tuple[float, Floats, Floats]:
         """Return log-likelihood, gradient (p,) and Fisher information (p, p), priors included.
@@ -230,7 +236,7 @@ class EdgeProblem:
     @cached_property
     def _prior(self) -> tuple[Floats, Floats]:
         """Mean and precision of the parameters with a prior: modes and noise, the first ones."""
-        mean = np.concatenate([self.lens.mean, *(of.centre for of in self.noise)])
+        mean = np.append(self.lens.mean, self.usual_noise)
         noise = np.concatenate([of.precision for of in self.noise])
         return mean, np.asarray(block_diag(self.lens.precision, np.diag(noise)))
 
@@ -261,42 +267,28 @@ class EdgeFit:
     objective: float
     covariance: Floats
 
+    @property
+    def std(self) -> EdgeState:
+        """Standard errors of the estimate."""
+        return self.state.at(np.sqrt(np.diag(self.covariance)))
+
+    def among(self, places: Indices) -> Floats:
+        """Return the covariance (n, n) of some parameters. places: (n,), see `EdgeState.places`."""
+        return self.covariance[np.ix_(places, places)]
+
     def defocus(self, depth: int = 0) -> tuple[float, float]:
         """Return a defocus, waves RMS at the reference, and its standard error."""
-        variance = self.defocus_covariance([depth])[0, 0]
-        return float(self.state.defoci[depth]), float(np.sqrt(variance))
-
-    def defocus_covariance(self, depths: Sequence[int]) -> Floats:
-        """Return the covariance (n, n) of some defoci, waves RMS squared."""
-        at = self.state.starts[1] + np.asarray(depths)
-        return np.asarray(self.covariance[np.ix_(at, at)])
-
-    def wavefront_covariance(self, depth: int = 0) -> Floats:
-        """Return the covariance (modes, modes) of a wavefront, defocus first."""
-        at = [self.state.starts[1] + depth, *range(self.state.modes.size)]
-        return np.asarray(self.covariance[np.ix_(at, at)])
+        return float(self.state.defoci[depth]), float(self.std.defoci[depth])
 
     @property
     def lens(self) -> LensPrior:
         """The estimated modes, as a prior for other fits."""
-        modes = self.state.modes.size
-        covariance = self.covariance[:modes, :modes] + TINY_VARIANCE * np.eye(modes)
-        return LensPrior(self.state.modes, covariance)
-
-    def edge_std(self, k: int) -> Floats:
-        """Return standard errors (4,) of an edge's angle (radians), distance (pixels) and radiances (counts)."""
-        first = self.state.starts[2] + EDGE_SIZE * k
-        return np.asarray(np.sqrt(np.diag(self.covariance)[first : first + EDGE_SIZE]))
+        return LensPrior.known(self.state.modes, self.among(self.state.places.modes))
 
     def residuals(self, k: int) -> Floats:
         """Return a region's residuals (n,), in standard deviations."""
         of, _ = self.problem.slopes(self.state, k)
-        return np.asarray((self.problem.regions[k].counts - of.mean) / np.sqrt(of.variance))
-
-
-TINY_VARIANCE = (
-    1e-12  # waves squared, so that the prior of exactly known modes is a distribution
-)
+        return (self.problem.regions[k].counts - of.mean) / np.sqrt(of.variance)
 
 
 def fit_edges(
@@ -320,7 +312,7 @@ def fit_edges(
     ValueError : at no defocus and no other mode the likelihood is flat in defocus by symmetry: start elsewhere
         (`labkit.edges.first_fits`)
     """
-    if np.any((start.defoci == 0) & (np.abs(start.modes).sum() == 0)):
+    if not start.modes.any() and not start.defoci.all():
         raise ValueError(
             "no defocus and no other mode: the likelihood is flat there by symmetry; start elsewhere"
         )

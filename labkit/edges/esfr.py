@@ -6,30 +6,32 @@ transform, and the correction of the three-point derivative. Counts are linear i
 opto-electronic conversion to invert.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from labkit.arrays import positive
+from labkit.edges.response import UNKNOWN_FREQUENCY, Response, crossing
 from labkit.errors import DataError
-from labkit.types import Floats
+from labkit.optics.mtf import modulus
+from labkit.types import Floats, Indices
 from labkit.uncertain import Uncertain
 
 OVERSAMPLING = 4  # bins to a pixel
-LEAST_SLANT, MOST_SLANT = (
-    1.5,
-    42.0,
-)  # degrees from the lines' normal that fill the bins evenly
-LEAST_LINES, LEAST_CHANGE = (
-    8,
-    0.2,
-)  # lines that cross the edge, and share of the largest change
+LEAST_SLANT = 1.5  # degrees from the lines' normal: slants between fill the bins evenly
+MOST_SLANT = 42.0
+LEAST_LINES = 8  # lines that cross the edge
+LEAST_CHANGE = 0.2  # of such a line, over the largest change
+LEAST_DEPTH = 4  # samples on either side of the edge
+OUTERMOST = (2, 98)  # percentiles of distances from the edge
 POOLED = 9  # bins
 MOST_CORRECTION = 10.0  # of the derivative's own response
 ABOUT = 2 * OVERSAMPLING  # bins on either side of the edge, none of which may be empty
 HIGHEST_FREQUENCY = 2.0  # cycles a sample, up to which curves are given
+TINY = 1e-9  # in place of a divisor of 0
 MOST_RISE = 0.2  # of a response beyond the samples' Nyquist frequency; lobes of a defocused lens have 0.13
 MOST_UNSURE = 1 / 3  # of the frequency of a crossing: its standard error
 UNSURE = (
@@ -56,25 +58,23 @@ class Plane:
 
 
 @dataclass(frozen=True)
-class Esfr:
-    """A response along the edge's normal.
+class Esfr(Response):
+    """A response by ISO 12233.
+
+    Its errors are by the scatter within the bins, and by what repeats from sample to sample. A fall that is not known to a
+    third is nan.
 
     Attributes
     ----------
-    frequency_per_mm, value : (n,) on the sensor
-    std : (n,) by the scatter within the bins, and by errors that repeat from sample to sample
-    mtf50, mtf10 : first fall to 0.5 and to 0.1, cycles/mm; nan without a fall, or if it is not known to a third
     slant_deg : of the edge against the nearest axis of the lattice
-    problem : why mtf50 is nan
     """
 
-    frequency_per_mm: Floats
-    value: Floats
-    std: Floats
-    mtf50: Uncertain
-    mtf10: Uncertain
     slant_deg: float
-    problem: str = ""
+
+    @property
+    def problem(self) -> str:
+        """Sentence on an unknown MTF50, empty for a known one."""
+        return "" if np.isfinite(self.mtf50.value) else UNSURE
 
 
 def esfr(planes: Sequence[Plane], pitch_um: float) -> Esfr:
@@ -93,66 +93,66 @@ def esfr(planes: Sequence[Plane], pitch_um: float) -> Esfr:
     positive("pitch_um", pitch_um, "um")
     if not planes or len({plane.step for plane in planes}) > 1:
         raise ValueError("one plane or more of one step are needed")
-    sideways = sum(_rise(plane.values, 0) - _rise(plane.values, 1) for plane in planes) > 0
-    if sideways:
-        planes = [
-            Plane(plane.values.T, (plane.first[1], plane.first[0]), plane.step)
-            for plane in planes
-        ]
-    slope, offset = _line(planes)
+    # change from border to border along either axis
+    down, across = (
+        sum(np.abs(np.diff(plane.values, axis=axis).sum()) for plane in planes)
+        for axis in (0, 1)
+    )
+    if down > across:
+        planes = [Plane(of.values.T, of.first[::-1], of.step) for of in planes]
+    line = _line(planes)
+    slope = float(abs(line[0]))
     slant = float(np.degrees(np.arctan(slope)))
-    if not LEAST_SLANT <= abs(slant) <= MOST_SLANT:
+    if not LEAST_SLANT <= slant <= MOST_SLANT:
         raise DataError(
-            f"the edge is slanted by {abs(slant):.1f} degrees against the pixels: the method of ISO 12233 needs "
+            f"the edge is slanted by {slant:.1f} degrees against the pixels: the method of ISO 12233 needs "
             f"{LEAST_SLANT:g} to {MOST_SLANT:g}"
         )
-    passages = abs(slope) * sum(plane.values.shape[0] for plane in planes)
+    passages = slope * sum(len(plane.values) for plane in planes)
     if passages < 1:
         raise DataError(
             f"the edge passes {passages:.1f} of a sample within the box: the method of ISO 12233 needs a longer edge"
         )
+    samples = np.concatenate([_projected(plane, line) for plane in planes], axis=1)
+    cycles, value, std = _response(samples, planes[0].values.shape[1])
     # of one sample along a line, across the edge
     across_mm = planes[0].step * pitch_um * 1e-3 * np.cos(np.arctan(slope))
-    samples = np.concatenate([_projected(p, slope, offset) for p in planes], axis=1)
-    return _response(samples, planes[0].values.shape[1], across_mm, slant)
+    frequency = cycles / across_mm
+    known = slice(_rise_again(cycles, value))
+    mtf50, mtf10 = (
+        _fall(frequency[known], value[known], std[known], level) for level in (0.5, 0.1)
+    )
+    return Esfr(frequency, value, std, mtf50, mtf10, slant)
 
 
-def _rise(values: Floats, axis: int) -> float:
-    """Return the change of a picture along an axis, from border to border, over all its lines."""
-    return float(abs(np.diff(values, axis=axis).sum()))
-
-
-def _line(planes: Sequence[Plane]) -> tuple[float, float]:
+def _line(planes: Sequence[Plane]) -> Floats:
     """Return slope and offset of the line column = offset + slope row, in pixels of the raw.
 
     It runs through the centroids of the lines' derivatives, first with a Hamming window about the largest change of each
     line, then twice about the previous line.
     """
-    slope = 0.0
-    offset = 0.0
-    known = False
+    line = None
     for _ in range(3):
-        line = (slope, offset) if known else None
         row, column = np.concatenate([_crossings(p, line) for p in planes], axis=1)
         if row.size < LEAST_LINES:
             raise DataError(
                 f"{row.size} lines cross the edge: the method of ISO 12233 needs {LEAST_LINES}"
             )
-        slope, offset = map(float, np.polyfit(row, column, 1))
-        known = True
-    return slope, offset
+        line = np.polyfit(row, column, 1)
+    return np.asarray(line)
 
 
-def _crossings(plane: Plane, line: tuple[float, float] | None) -> Floats:
+def _crossings(plane: Plane, line: Floats | None) -> Floats:
     """Return rows and columns (2, n) of the raw where lines cross the edge: centroids of their windowed derivatives."""
     count, width = plane.values.shape
-    row = np.asarray(plane.first[0] + plane.step * np.arange(count), np.float64)
+    row = plane.first[0] + plane.step * np.arange(count)
     change = np.diff(plane.values, axis=1)
-    at: Floats = np.arange(width - 1) + 0.5
+    at = np.arange(width - 1) + 0.5
     if line is None:
-        middle = (np.abs(change) @ at) / np.maximum(np.abs(change).sum(axis=1), 1e-30)
+        size = np.abs(change)
+        middle = (size @ at) / np.maximum(size.sum(axis=1), TINY)
     else:
-        middle = (line[1] + line[0] * row - plane.first[1]) / plane.step
+        middle = (np.polyval(line, row) - plane.first[1]) / plane.step
     weighed = change * _hamming(at - middle[:, None], width)
     total = weighed.sum(axis=1)
     good = np.abs(total) > LEAST_CHANGE * np.abs(total).max()
@@ -162,12 +162,11 @@ def _crossings(plane: Plane, line: tuple[float, float] | None) -> Floats:
 
 def _hamming(off: Floats, width: float) -> Floats:
     """Return Hamming's window of a width about 0, 0 outside."""
-    return np.where(
-        np.abs(off) <= width / 2, 0.54 + 0.46 * np.cos(2 * np.pi * off / width), 0.0
-    )
+    window = 0.54 + 0.46 * np.cos(2 * np.pi * off / width)
+    return np.where(np.abs(off) <= width / 2, window, 0.0)
 
 
-def _projected(plane: Plane, slope: float, offset: float) -> Floats:
+def _projected(plane: Plane, line: Floats) -> Floats:
     """Project samples along the line.
 
     Only lines of a whole number of the edge's passages from column to column are used, so that all phases are alike.
@@ -177,62 +176,50 @@ def _projected(plane: Plane, slope: float, offset: float) -> Floats:
     (3, n) distance from the edge along a line in samples, row of the raw, value
     """
     count, width = plane.values.shape
-    passages = int(count * abs(slope))
-    kept = round(passages / abs(slope)) if passages else count
+    slope = abs(line[0])
+    passages = int(count * slope)
+    kept = round(passages / slope) if passages else count
     row = plane.first[0] + plane.step * np.arange(kept)[:, None]
     column = plane.first[1] + plane.step * np.arange(width)
-    distance = (column - offset - slope * row) / plane.step
-    rows = np.broadcast_to(row, distance.shape)
-    return np.stack([distance, rows, plane.values[:kept]]).reshape(3, -1)
+    distance = (column - np.polyval(line, row)) / plane.step
+    samples = np.broadcast_arrays(distance, row, plane.values[:kept])
+    return np.stack(samples).reshape(3, -1)
 
 
-def _response(samples: Floats, width: int, across_mm: float, slant: float) -> Esfr:
-    """Return the response by samples (3, n). width: of a line; across_mm: of one of its samples, across the edge."""
-    low, high = np.percentile(samples[0], (2, 98))
-    if min(-low, high) < 4:
+def _response(samples: Floats, width: int) -> tuple[Floats, Floats, Floats]:
+    """Return frequencies in cycles a sample, response, and its errors, by samples (3, n). width: of a line."""
+    low, high = np.percentile(samples[0], OUTERMOST)
+    if min(-low, high) < LEAST_DEPTH:
         raise DataError(
-            f"the edge lies {min(-low, high):.1f} samples from the box's border: the method of ISO 12233 needs 4"
+            f"the edge lies {min(-low, high):.1f} samples from the box's border: the method of ISO 12233 needs {LEAST_DEPTH}"
         )
     half = width * OVERSAMPLING // 2  # as wide as the box, about the edge
+    count = 2 * half
     bins = np.floor(samples[0] * OVERSAMPLING).astype(int) + half
-    inside = (bins >= 0) & (bins < 2 * half)
+    inside = (bins >= 0) & (bins < count)
     bins = bins[inside]
     samples = samples[:, inside]
-    mean, variance = _binned(bins, samples[2], 2 * half)
+    mean, variance = _binned(bins, samples[2], count)
     # the three-point derivative, zero at both ends, and the window about its peak
-    derivative = np.zeros((2 * half, 2 * half))
-    k = np.arange(1, 2 * half - 1)
-    derivative[k, k + 1], derivative[k, k - 1] = 0.5, -0.5
+    derivative = (np.eye(count, k=1) - np.eye(count, k=-1)) / 2
+    derivative[[0, -1]] = 0
     line = derivative @ mean
-    place: Floats = np.arange(2.0 * half)
-    peak = float(np.sum(place * np.abs(line) ** 2) / np.sum(np.abs(line) ** 2))
-    line_of = _hamming(place - peak, 2 * half)[:, None] * derivative
-    cycles = np.arange(int(HIGHEST_FREQUENCY / OVERSAMPLING * 2 * half) + 1) / (
-        2 * half
-    )  # a bin
-    transform = np.exp(-2j * np.pi * np.outer(cycles, place)) @ line_of
-    correction = np.minimum(1 / np.maximum(np.sinc(2 * cycles), 1e-9), MOST_CORRECTION)
+    place: Floats = np.arange(float(count))
+    peak = float(np.average(place, weights=line**2))
+    window = _hamming(place - peak, count)[:, None] * derivative
+    cycles = np.arange(int(HIGHEST_FREQUENCY / OVERSAMPLING * count) + 1) / count  # a bin
+    transform = np.exp(-2j * np.pi * np.outer(cycles, place)) @ window
     spectrum = transform @ mean
-    value = np.abs(spectrum) / np.abs(spectrum[0]) * correction
-    phase = np.conj(spectrum / np.maximum(np.abs(spectrum), 1e-30))
-    by_bin = (phase[:, None] * transform).real / np.abs(spectrum[0]) * correction[:, None]
-    by_bin -= value[:, None] * (
-        transform[0].real * np.sign(spectrum[0].real) / np.abs(spectrum[0])
-    )
-    repeating = transform @ _repeating(samples, bins, mean, line)
-    systematic = np.abs(repeating) / np.abs(spectrum[0]) * correction
-    std = np.hypot(np.sqrt(by_bin**2 @ variance), systematic)
-    frequency = cycles * OVERSAMPLING / across_mm
-    known = _rise_again(cycles * OVERSAMPLING, value)
-    curve = frequency[:known], value[:known], std[:known]
-    mtf50, mtf10 = (_fall(*curve, level) for level in (0.5, 0.1))
-    problem = "" if np.isfinite(mtf50.value) else UNSURE
-    return Esfr(frequency, value, std, mtf50, mtf10, abs(slant), problem)
+    light = spectrum[0]
+    by_bin = (transform - np.outer(spectrum / light, transform[0])) / light
+    value, slopes = modulus(spectrum / light, by_bin.T)
+    systematic = transform @ _repeating(samples, bins, mean, line) / light
+    std = np.hypot(np.sqrt(variance @ slopes**2), np.abs(systematic))
+    correction = np.minimum(1 / np.maximum(np.sinc(2 * cycles), TINY), MOST_CORRECTION)
+    return cycles * OVERSAMPLING, value * correction, std * correction
 
 
-def _repeating(
-    samples: Floats, bins: NDArray[np.int_], mean: Floats, line: Floats
-) -> Floats:
+def _repeating(samples: Floats, bins: Indices, mean: Floats, line: Floats) -> Floats:
     """Return errors of the bins' means (count,) that repeat from sample to sample across the edge.
 
     Every fourth bin is filled by the same lines. Where lines cross at few places between samples, as at slopes near 1/3,
@@ -241,28 +228,23 @@ def _repeating(
     """
     distance, row, value = samples
     far = np.abs(distance) > np.abs(distance).max() / 2
-    row = row - row.mean()
-    slopes = []
-    for side in (distance < 0, distance > 0):
-        at = row[far & side]
-        seen = value[far & side]
-        at = at - at.mean()
-        slopes.append(at @ (seen - seen.mean()) / (at**2).sum())
+    slopes = [
+        np.polyfit(row[far & side], value[far & side], 1)[0]
+        for side in (distance < 0, distance > 0)
+    ]
     share = np.clip((mean[bins] - mean[0]) / (mean[-1] - mean[0]), 0, 1)
-    brighter = row * (slopes[0] + share * (slopes[1] - slopes[0]))
-    aside = distance * OVERSAMPLING - np.floor(distance * OVERSAMPLING) - 0.5
+    brighter = (row - row.mean()) * (slopes[0] + share * (slopes[1] - slopes[0]))
+    aside = (distance * OVERSAMPLING) % 1 - 0.5
     return _bin_means(bins, brighter + line[bins] * aside, mean.size)[0]
 
 
-def _bin_means(
-    bins: NDArray[np.int_], values: Floats, count: int
-) -> tuple[Floats, NDArray[np.int_]]:
+def _bin_means(bins: Indices, values: Floats, count: int) -> tuple[Floats, Indices]:
     """Return each bin's mean (count,), interpolated in empty bins, and its number of samples."""
     many = np.bincount(bins, minlength=count)
-    filled = many > 0
+    filled = np.flatnonzero(many)
     total = np.bincount(bins, values, minlength=count)
     means = total[filled] / many[filled]
-    return np.interp(np.arange(count), np.flatnonzero(filled), means), many
+    return np.interp(np.arange(count), filled, means), many
 
 
 def _rise_again(cycles: Floats, value: Floats) -> int:
@@ -272,11 +254,9 @@ def _rise_again(cycles: Floats, value: Floats) -> int:
     cancel. cycles: a sample.
     """
     beyond = int(np.searchsorted(cycles, 0.5))
-    lowest = np.minimum.accumulate(value[beyond:])
-    risen = np.flatnonzero(value[beyond:] > lowest + MOST_RISE)
-    if not risen.size:
-        return value.size
-    return beyond + int(np.argmin(value[beyond : beyond + risen[0]])) + 1
+    after = value[beyond:]
+    risen = np.flatnonzero(after > np.minimum.accumulate(after) + MOST_RISE)
+    return beyond + int(np.argmin(after[: risen[0]])) + 1 if risen.size else value.size
 
 
 def _fall(frequency: Floats, value: Floats, std: Floats, level: float) -> Uncertain:
@@ -284,18 +264,16 @@ def _fall(frequency: Floats, value: Floats, std: Floats, level: float) -> Uncert
 
     The error reaches from the fall of the curve less its standard error to that of the curve with it, or to the end.
     """
-    at = crossing(frequency, value, std, level)
-    earliest, latest = (
-        crossing(frequency, value + sign * std, std, level).value for sign in (-1, 1)
+    earliest, at, latest = (
+        crossing(frequency, value + sign * std, std, level) for sign in (-1, 0, 1)
     )
-    if np.isnan(latest):
-        latest = float(frequency[-1])
-    error = max(at.std, (latest - earliest) / 2)
+    last = np.nan_to_num(latest.value, nan=frequency[-1])
+    error = max(at.std, (last - earliest.value) / 2)
     known = error <= MOST_UNSURE * at.value
     return Uncertain(at.value, error, at.unit) if known else UNKNOWN_FREQUENCY
 
 
-def _binned(bins: NDArray[np.int_], values: Floats, count: int) -> tuple[Floats, Floats]:
+def _binned(bins: Indices, values: Floats, count: int) -> tuple[Floats, Floats]:
     """Return the mean of each bin (count,) and its variance."""
     mean, many = _bin_means(bins, values, count)
     about = many[count // 2 - ABOUT : count // 2 + ABOUT] > 0
@@ -307,22 +285,6 @@ def _binned(bins: NDArray[np.int_], values: Floats, count: int) -> tuple[Floats,
     scatter = np.bincount(bins, (values - mean[bins]) ** 2, minlength=count)
     # the scatter follows the light: pooled over neighbouring bins
     squares, freedom = (
-        np.convolve(each, np.ones(POOLED), "same")
-        for each in (scatter, np.maximum(many - 1, 0))
+        np.convolve(each, np.ones(POOLED), "same") for each in (scatter, (many - 1).clip(0))
     )
-    return mean, squares / np.maximum(freedom, 1) / np.maximum(many, 1)
-
-
-UNKNOWN_FREQUENCY = Uncertain(np.nan, np.nan, "cycles/mm")
-
-
-def crossing(frequency: Floats, value: Floats, std: Floats, level: float) -> Uncertain:
-    """Return the frequency at which a curve first falls to a level, by lines between its samples; nan without a fall."""
-    below = np.flatnonzero(value < level)
-    if below.size == 0 or below[0] == 0:
-        return UNKNOWN_FREQUENCY
-    k = int(below[0])
-    slope = (value[k] - value[k - 1]) / (frequency[k] - frequency[k - 1])
-    at = frequency[k - 1] + (level - value[k - 1]) / slope
-    error = float(np.interp(at, frequency, std)) / abs(slope)
-    return Uncertain(float(at), error, "cycles/mm")
+    return mean, squares / freedom.clip(1) / many.clip(1)

@@ -4,24 +4,27 @@ No defocus at all is a saddle of the likelihood (thesis chapter IV), and one fra
 apart: a fit starts on each side, and both ends are kept.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from scipy import ndimage
 from scipy.optimize import least_squares
 from scipy.special import ndtr
 
 from labkit.edges.edge_fit import (
     EXACTLY,
     ROUGHLY,
-    TINY_VARIANCE,
     EdgeFit,
     EdgeProblem,
     EdgeState,
     LensPrior,
     fit_edges,
 )
-from labkit.edges.region import EDGE_SIZE, Edge, Region, mean_and_slopes
+from labkit.edges.region import Edge, Region, mean_and_slopes
 from labkit.errors import DataError
 from labkit.estimation.likelihood import NormalCounts
 from labkit.imaging.optics import Optics
@@ -38,115 +41,122 @@ MOST_UNEVEN = 0.1  # of the step: structure of sides that should be even, RMS
 LEAST_SIDE = 0.08  # share of a region's pixels on either side of the blurred line
 LEAST_CLEAR = 15.0  # standard errors of a step
 SAME_DEFOCUS = 1e-3  # waves: nearer ends are one
-CELL_PX, FEWEST_IN_CELL = 6.0, 4  # of the cells whose mean residuals show structure
+CELL_PX = 6.0  # length of the cells whose mean residuals show structure, twice their depth
+FEWEST_IN_CELL = 4
 WIDTHS_PX = (1.0, 5.0)  # of rough edges, to begin with
+LARGEST_LOG_WIDTH = 5.0
+NO_STRAIGHT_EDGE = (
+    "it holds no straight edge between two even sides: what {left} varies by {share:.0%} of the step, at most {most:.0%} is "
+    "allowed; take a smaller box"
+)
 
 
 @dataclass(frozen=True)
 class RoughEdge:
-    """An edge blurred by a Gaussian of standard deviation width_px, and the share of the variance that it explains."""
+    """The edge of a region, blurred by a Gaussian of standard deviation width_px."""
 
+    region: Region
     edge: Edge
     width_px: float
-    explained: float
+
+    @cached_property
+    def residuals(self) -> Floats:
+        """Counts less those of the blurred edge, (n,)."""
+        across, _ = self.region.across_and_along(self.edge)
+        blurred = self.edge.near + self.edge.rise * ndtr(across / self.width_px)
+        return np.asarray(self.region.counts - blurred)
 
     @property
-    def rise(self) -> float:
-        """Step of the edge, counts."""
-        return self.edge.far - self.edge.near
+    def explained(self) -> float:
+        """Share of the counts' variance that the edge explains."""
+        return float(1 - np.mean(self.residuals**2) / np.var(self.region.counts))
 
-    def residuals(self, region: Region) -> Floats:
-        """Return counts less those of the blurred edge, (n,)."""
-        across, _ = region.across_and_along(self.edge)
-        return region.counts - self.edge.near - self.rise * ndtr(across / self.width_px)
+    def refuse_no_edge(self) -> None:
+        """Raise DataError, one line, for a region without a clear line between two sides."""
+        if self.explained < LEAST_EXPLAINED:
+            raise DataError(
+                f"it holds no edge: a straight line between two even sides explains {max(self.explained, 0):.0%} of its "
+                f"variance, {LEAST_EXPLAINED:.0%} is needed"
+            )
+        across, _ = self.region.across_and_along(self.edge)
+        least = min(np.mean(side > 0.5 * self.width_px) for side in (-across, across))
+        if least < LEAST_SIDE:
+            raise DataError(
+                f"it holds no edge with both of its sides: {least:.0%} of the pixels are on one, "
+                f"{LEAST_SIDE:.0%} are needed; move the box so that the line runs through its middle"
+            )
+        error = 2 * self.residuals.std() / np.sqrt(self.residuals.size)
+        if abs(self.edge.rise) < LEAST_CLEAR * error:
+            raise DataError(
+                f"it holds no edge: the step is {abs(self.edge.rise) / error:.1f} standard errors, "
+                f"{LEAST_CLEAR:g} are needed"
+            )
+
+    def refuse_uneven(self) -> None:
+        """Raise DataError, one line, for a line that is not straight or sides that are not even."""
+        refuse_structure(self.region, self.edge, self.residuals, "is left", MOST_UNEVEN)
 
 
 def rough_edge(region: Region) -> RoughEdge:
     """Fit a straight line between two even sides, of any blur. Raises DataError for an even region."""
-    x, y = region.offsets
     dark, bright = np.percentile(region.counts, (10, 90))
     if not bright > dark:
         raise DataError("it holds no edge: all of it is equally bright")
     scale = bright - dark
-    counts = region.counts / scale
-    variance = float(np.sum((counts - counts.mean()) ** 2))
+    scaled = replace(region, counts=region.counts / scale)
 
-    def residual(p: Floats) -> Floats:
-        r = x * np.cos(p[0]) + y * np.sin(p[0]) - p[1]
-        return np.asarray(p[2] + (p[3] - p[2]) * ndtr(r / np.exp(p[4])) - counts)
+    def blurred(numbers: Floats) -> RoughEdge:
+        width_px = float(np.exp(min(numbers[-1], LARGEST_LOG_WIDTH)))
+        return RoughEdge(scaled, Edge(*numbers[:-1].tolist()), width_px)
+
+    def residuals(numbers: Floats) -> Floats:
+        return blurred(numbers).residuals
 
     def fitted(angle: float) -> RoughEdge:
+        light = [0.0, dark / scale, bright / scale]
+        starts = [[angle, *light, np.log(width)] for width in WIDTHS_PX]
         ends = [
-            least_squares(
-                residual,
-                [angle, 0.0, dark / scale, bright / scale, np.log(width)],
-                max_nfev=40,
-                x_scale="jac",
-            )
-            for width in WIDTHS_PX
+            least_squares(residuals, start, max_nfev=40, x_scale="jac").x
+            for start in starts
         ]
-        end = min(ends, key=lambda e: e.cost)
-        edge = Edge.of(end.x[:EDGE_SIZE] * [1, 1, scale, scale])
-        return RoughEdge(
-            edge, float(np.exp(min(end.x[4], 5.0))), 1 - 2 * end.cost / variance
-        )
+        return max(map(blurred, ends), key=lambda rough: rough.explained)
 
-    plane = np.stack([np.ones_like(x), x, y], 1)
+    plane = np.stack([np.ones(region.counts.size), *region.offsets], 1)
     slope = np.linalg.lstsq(plane, region.counts, rcond=None)[0]
     first = float(np.arctan2(slope[2], slope[1]))
     best = fitted(first)
     if best.explained < 2 * LEAST_EXPLAINED:  # try other directions than the plane's
         others = [fitted(first + turn) for turn in np.pi / 4 * np.arange(1, 8)]
         best = max([best, *others], key=lambda rough: rough.explained)
-    return best
+    angle, distance_px, near, far = best.edge
+    edge = Edge(angle, distance_px, near * scale, far * scale)
+    return RoughEdge(region, edge, best.width_px)
 
 
-def refuse_no_edge(region: Region, rough: RoughEdge) -> None:
-    """Raise DataError, one line, for a region without a clear line between two sides."""
-    if rough.explained < LEAST_EXPLAINED:
-        raise DataError(
-            f"it holds no edge: a straight line between two even sides explains {max(rough.explained, 0):.0%} of its "
-            f"variance, {LEAST_EXPLAINED:.0%} is needed"
-        )
-    across, _ = region.across_and_along(rough.edge)
-    least = min(float(np.mean(side > 0.5 * rough.width_px)) for side in (-across, across))
-    if least < LEAST_SIDE:
-        raise DataError(
-            f"it holds no edge with both of its sides: {least:.0%} of the pixels are on one, "
-            f"{LEAST_SIDE:.0%} are needed; move the box so that the line runs through its middle"
-        )
-    left = rough.residuals(region)
-    clear = abs(rough.rise) / (2 * left.std() / np.sqrt(left.size))
-    if clear < LEAST_CLEAR:
-        raise DataError(
-            f"it holds no edge: the step is {clear:.1f} standard errors, {LEAST_CLEAR:g} are needed"
-        )
+def refuse_structure(
+    region: Region, edge: Edge, residuals: Floats, left: str, most: float
+) -> None:
+    """Raise DataError, one line, for residuals (n,) that neighbours share.
 
-
-def refuse_uneven(region: Region, rough: RoughEdge) -> None:
-    """Raise DataError, one line, for a line that is not straight or sides that are not even."""
-    uneven = coherent_rms(region, rough.edge, rough.residuals(region)) / abs(rough.rise)
-    if uneven > MOST_UNEVEN:
-        raise DataError(
-            f"it holds no straight edge between two even sides: what is left varies by {uneven:.0%} of the step, at most "
-            f"{MOST_UNEVEN:.0%} is allowed; take a smaller box"
-        )
-
-
-def coherent_rms(region: Region, edge: Edge, left: Floats) -> float:
-    """Return the RMS that residuals (n,) share with their neighbours: of the means over cells, less the means' noise."""
+    left : what leaves the residuals, in words
+    most : largest RMS of the cells' means, without their noise, over the step
+    """
     across, along = region.across_and_along(edge)
-    key = np.floor(across / (CELL_PX / 2)) * 10_000 + np.floor(along / CELL_PX)
-    _, cell, count = np.unique(key, return_inverse=True, return_counts=True)
-    many = count >= FEWEST_IN_CELL
-    if not many.any():
-        return 0.0
-    mean = np.bincount(cell, left) / count
-    variance = (np.bincount(cell, left**2) / count - mean**2).clip(0)
-    squares = variance * count / np.maximum(count - 1, 1) * count
-    noise = np.sum(squares[many]) / np.sum(count[many])
-    coherent = np.mean(mean[many] ** 2) - noise * np.mean(1 / count[many])
-    return float(np.sqrt(max(coherent, 0.0)))
+    cells = np.floor(np.stack([2 * across, along]) / CELL_PX)
+    _, cell, count = np.unique(cells, axis=1, return_inverse=True, return_counts=True)
+    many = np.flatnonzero(count >= FEWEST_IN_CELL)
+    if not many.size:
+        return
+    count = count[many]
+    mean, variance = (
+        np.asarray(of(residuals, cell.ravel(), many))
+        for of in (ndimage.mean, ndimage.variance)
+    )
+    noise = np.average(variance * count / (count - 1), weights=count)
+    coherent = np.mean(mean**2) - noise * np.mean(1 / count)
+    share = float(np.sqrt(max(coherent, 0.0))) / abs(edge.rise)
+    if share > most:
+        raise DataError(NO_STRAIGHT_EDGE.format(left=left, share=share, most=most))
 
 
 def likely_defocus(optics: Optics, width_px: float) -> float:
@@ -182,44 +192,34 @@ def fit_depth(
     if problem.depths != 1:
         raise ValueError(f"{problem.depths} depths: one is searched at a time")
     edges = [of.edge for of in rough]
-    likely = float(
-        np.median(
-            [
-                likely_defocus(problem.optics_of(k), of.width_px)
-                for k, of in enumerate(rough)
-            ]
-        )
-    )
+    widths = enumerate(of.width_px for of in rough)
+    likely = np.median([likely_defocus(problem.optics_of(k), w) for k, w in widths])
     far = [likely * share for share in SHARES if likely * share > max(NEAR_FOCUS)]
-    trials = sorted({*NEAR_FOCUS, *far})
-    even = np.array(twin_signs(problem.noll[1:])) < 0
-    symmetric = not np.any(problem.lens.mean[even])
+    pixels = sum(region.counts.size for region in problem.regions)
+    symmetric = not problem.lens.mean[np.array(twin_signs(problem.noll[1:])) < 0].any()
     ends = []
     for sign in (1,) if symmetric else (1, -1):
-        misfit = {sign * value: _misfit(problem, edges, sign * value) for value in trials}
-        best = min(misfit, key=misfit.__getitem__)
-        pixels = sum(region.counts.size for region in problem.regions)
-        expected = np.array([of.centre for of in problem.noise])
-        noise = expected + np.log(max(misfit[best] / pixels, 1.0))
-        start = problem.start([best], edges, np.asarray(noise))
-        ends.append(fit_edges(problem, start, tolerance=tolerance))
+        trials = [sign * value for value in sorted({*NEAR_FOCUS, *far})]
+        misfit, best = min((_misfit(problem, edges, value), value) for value in trials)
+        noise = problem.usual_noise + np.log(max(misfit / pixels, 1.0))
+        ends.append(fit_edges(problem, problem.start([best], edges, noise), tolerance))
     if symmetric:
         ends.append(twin(ends[0]))
     ends.sort(key=lambda end: -end.objective)
     apart = abs(ends[0].defocus()[0] - ends[-1].defocus()[0]) > SAME_DEFOCUS
-    return tuple(ends) if apart else (ends[0],)
+    return tuple(ends if apart else ends[:1])
 
 
 def _misfit(problem: EdgeProblem, edges: Sequence[Edge], defocus: float) -> float:
     """Return the sum of squared residuals at a defocus, in standard deviations, after a linear step of the edges."""
-    waves = np.concatenate([[defocus], problem.lens.mean])
+    waves = np.append(defocus, problem.lens.mean)
     total = 0.0
     for k, (region, edge) in enumerate(zip(problem.regions, edges, strict=True)):
         mean, by_edge, _ = mean_and_slopes(region, edge, problem.optics_of(k), waves)
         noise = problem.noise[region.frame]
-        weight = 1 / np.sqrt(NormalCounts(mean, noise.gain, noise.read_variance).variance)
-        left = (region.counts - mean) * weight
-        slopes = (by_edge * weight).T
+        counts = NormalCounts(mean, noise.gain, noise.read_variance)
+        left = (region.counts - mean) / np.sqrt(counts.variance)
+        slopes = (by_edge / np.sqrt(counts.variance)).T
         change = np.linalg.lstsq(slopes, left, rcond=None)[0]
         total += float(np.sum((left - slopes @ change) ** 2))
     return total
@@ -230,25 +230,15 @@ def twin(fit: EdgeFit) -> EdgeFit:
 
     It is a fit if the prior's mean has no even modes, else only a start.
     """
-    signs = np.array(twin_signs(fit.problem.noll[1:]), float)
     state = fit.state
-    flips = EdgeState(
-        signs,
-        np.ones_like(state.log_noise),
-        -np.ones_like(state.defoci),
-        np.ones_like(state.edges),
-    ).vector
+    signs = np.array(twin_signs(fit.problem.noll[1:]), float)
+    same = state.at(np.ones(state.vector.size))
+    flips = replace(same, modes=signs, defoci=-same.defoci).vector
     turned = state.at(state.vector * flips)
     return replace(fit, state=turned, covariance=fit.covariance * np.outer(flips, flips))
 
 
-def fit_jointly(
-    problem: EdgeProblem,
-    defoci: Sequence[float],
-    edges: Floats,
-    groups: Sequence[int],
-    log_noise: Floats,
-) -> EdgeFit:
+def fit_jointly(problem: EdgeProblem, start: EdgeState, groups: Sequence[int]) -> EdgeFit:
     """Fit all depths at once, with modes common to all, from fits of each depth.
 
     Edges join one after another, each on the side of best focus that is likelier by the modes estimated so far; the first
@@ -257,51 +247,43 @@ def fit_jointly(
     Parameters
     ----------
     problem : all regions
-    defoci : (depths,) waves RMS, whose signs are ignored
-    edges : (regions, 4)
+    start : where to begin; the signs of its defoci are ignored
     groups : for each depth its edge, whose colours are on one side of best focus
-    log_noise : (frames, 2) to begin with
     """
     lens = problem.lens
-    start = np.array(defoci, float)
+    defoci = start.defoci.copy()
     for group in dict.fromkeys(groups):
         depths = [depth for depth, of in enumerate(groups) if of == group]
         places = [k for k, region in enumerate(problem.regions) if region.depth in depths]
-        regions = tuple(
-            replace(problem.regions[k], depth=depths.index(problem.regions[k].depth))
-            for k in places
-        )
-        part = replace(problem, regions=regions, lens=lens)
-        free = lens is problem.lens and not lens.mean.any()
-        own = [Edge.of(edges[k]) for k in places]
-        ends = [
-            fit_edges(
-                part, part.start(sign * np.abs(start[depths]), own, log_noise), ROUGHLY
-            )
-            for sign in ((1,) if free else (1, -1))
+        regions = [problem.regions[k] for k in places]
+        regions = [replace(of, depth=depths.index(of.depth)) for of in regions]
+        part = replace(problem, regions=tuple(regions), lens=lens)
+        starts = [
+            part.start(sign * np.abs(defoci[depths]), start.edges[places], start.log_noise)
+            for sign in ((1, -1) if lens.mean.any() else (1,))
         ]
+        ends = [fit_edges(part, at, ROUGHLY) for at in starts]
         best = max(ends, key=lambda end: end.objective)
-        lens, start[depths] = best.lens, best.state.defoci
-    return fit_edges(problem, EdgeState(lens.mean.copy(), log_noise, start, edges))
+        lens = best.lens
+        defoci[depths] = best.state.defoci
+    return fit_edges(problem, replace(start, modes=lens.mean.copy(), defoci=defoci))
 
 
-def halves(fit: EdgeFit, k: int = 0) -> tuple[EdgeFit, EdgeFit] | None:
-    """Fit both halves of a region along its line with the modes held; None for too few pixels."""
+def halves(fit: EdgeFit, k: int = 0) -> list[EdgeFit]:
+    """Fit both halves of a region along its line with the modes held; none for too few pixels."""
     region = fit.problem.regions[k]
     edge = fit.state.edge(k)
     _, along = region.across_and_along(edge)
-    middle = float(np.median(along))
-    alone = fit.problem.alone(k)
-    modes = fit.state.modes
-    held = LensPrior(modes, TINY_VARIANCE * np.eye(modes.size))
-    noise = fit.state.log_noise[region.frame : region.frame + 1]
-    ends = []
-    for chosen in (along < middle, along >= middle):
-        try:
-            part = alone.regions[0].part(chosen)
-        except ValueError:
-            return None
-        problem = replace(alone, regions=(part,), lens=held)
-        start = problem.start([fit.state.defoci[region.depth]], [edge], noise)
-        ends.append(fit_edges(problem, start, max_steps=15, tolerance=ROUGHLY))
-    return ends[0], ends[1]
+    alone = replace(fit.problem.alone(k), lens=LensPrior.known(fit.state.modes))
+    before = along < np.median(along)
+    try:
+        parts = [alone.regions[0].part(chosen) for chosen in (before, ~before)]
+    except ValueError:
+        return []
+    problems = [replace(alone, regions=(part,)) for part in parts]
+    defocus = fit.state.defoci[region.depth]
+    noise = fit.state.log_noise[[region.frame]]
+    return [
+        fit_edges(of, of.start([defocus], [edge], noise), ROUGHLY, max_steps=15)
+        for of in problems
+    ]

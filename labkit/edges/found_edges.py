@@ -1,29 +1,44 @@
 """Edges found in a picture: straight segments (OpenCV's LSD), cut into pieces, each with a box around it."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from itertools import pairwise
 
 import cv2
 import numpy as np
+from scipy.ndimage import map_coordinates
 
 from labkit.arrays import real_array
+from labkit.edges.region import turned
 from labkit.types import Bools, Floats
 
 Box = tuple[int, int, int, int]
 """Rows and columns r0, c0, r1, c1 of the raw, the last ones not included."""
 
-PIECE, SHORTEST, DEEP = 48.0, 20.0, 14.0
-"""Of a segment, in samples of the picture: pieces along it, the shortest one, and how deep the sides of a piece must be."""
-
+PIECE = 48.0  # length of the pieces of a segment, samples of the picture
+SHORTEST = 20.0  # length of a segment, samples
+DEEP = 14.0  # depth of the sides of a piece, samples
 MOST_UNEVEN_SIDE = 0.12  # of the step: a side's own standard deviation, where noise alone does not explain it
-BRIGHTEST, DARKEST = 99.8, 0.2  # percentiles that a picture is stretched between
+SHADES = (0.2, 99.8)  # percentiles that a picture is stretched between
 LEAST_STEP = 0.05  # of that stretch
+READ_WITHIN = (0.1, 0.9)  # of a piece's length, where its sides are read
+APART_ACROSS = 1.2  # of the depth: pieces of different edges
+APART_ALONG = 0.8  # of the length
 
 
 @dataclass(frozen=True)
 class FoundEdge:
-    """A piece of an edge: box around it in pixels of the raw; middle: (row, column) there; angle of its normal towards the
-    brighter side, radians from x towards y; length_px, and step over the picture's stretch, by which they are ranked."""
+    """A piece of an edge.
+
+    Attributes
+    ----------
+    box : around it, in pixels of the raw
+    middle : (row, column) there
+    angle : of its normal towards the brighter side, radians from x towards y
+    length_px : in the raw
+    step : over the picture's stretch
+    """
 
     box: Box
     middle: tuple[float, float]
@@ -31,14 +46,26 @@ class FoundEdge:
     length_px: float
     step: float
 
+    def on(self, first: tuple[int, int], step: int) -> FoundEdge:
+        """Return the edge in pixels of a raw. first, step : first sample, and pixels from sample to sample."""
+        r0, c0, r1, c1 = (o + step * x for o, x in zip(first * 2, self.box, strict=True))
+        row, column = (o + step * x for o, x in zip(first, self.middle, strict=True))
+        length_px = step * self.length_px
+        return FoundEdge((r0, c0, r1, c1), (row, column), self.angle, length_px, self.step)
+
     def mask(self, rows: Floats, columns: Floats, depth_px: float) -> Bools:
         """Return the mask of pixels within a depth of the line, and within half its length of its middle."""
-        y, x = rows - self.middle[0], columns - self.middle[1]
-        across = x * np.cos(self.angle) + y * np.sin(self.angle)
-        along = y * np.cos(self.angle) - x * np.sin(self.angle)
-        return np.asarray(
-            (np.abs(across) <= depth_px) & (np.abs(along) <= self.length_px / 2)
-        )
+        row, column = self.middle
+        across, along = turned(self.angle, columns - column, rows - row)
+        near = (np.abs(across) <= depth_px) & (np.abs(along) <= self.length_px / 2)
+        return np.asarray(near)
+
+    def apart(self, other: FoundEdge) -> bool:
+        """Whether two pieces, in samples, are of different edges and outside each other's sides."""
+        y, x = np.subtract(self.middle, other.middle)
+        across, along = turned(other.angle, x, y)
+        reach = (self.length_px + other.length_px) / 2
+        return bool(abs(across) > APART_ACROSS * DEEP or abs(along) > APART_ALONG * reach)
 
 
 def find_edges(
@@ -53,97 +80,57 @@ def find_edges(
     most : number of edges
     """
     picture = real_array("picture", picture, (None, None), "counts")
-    low, high = np.percentile(picture, (DARKEST, BRIGHTEST))
+    low, high = np.percentile(picture, SHADES)
     if not high > low:
         return []
+    picture = (picture - low) / (high - low)
     # the eye's curve: edges in the dark count as well
-    stretched = np.sqrt(np.clip((picture - low) / (high - low), 0, 1))
-    detector = cv2.createLineSegmentDetector(cv2.LSD_REFINE_STD)
-    lines = detector.detect(np.round(255 * stretched).astype(np.uint8))[0]
-    good = []
-    for line in [] if lines is None else lines.reshape(-1, 4).astype(float):
-        for start, end in _pieces(line):
-            rise = _rise(picture, start, end) / float(high - low)
-            if abs(rise) > LEAST_STEP:
-                good.append((start, end, rise))
-    good.sort(key=lambda of: -abs(of[2]) * np.hypot(*(of[1] - of[0])))
+    grey = np.round(255 * np.sqrt(picture.clip(0, 1))).astype(np.uint8)
+    lines = cv2.createLineSegmentDetector(cv2.LSD_REFINE_STD).detect(grey)[0]
+    edges = []
+    for line in [] if lines is None else lines.reshape(-1, 2, 2).astype(float):
+        start, end = line[:, ::-1]
+        length = float(np.hypot(*(end - start)))
+        cuts = np.linspace(start, end, max(1, round(length / PIECE)) + 1)
+        if length >= SHORTEST:
+            edges += [_piece(picture, *piece) for piece in pairwise(cuts)]
+    edges = [edge for edge in edges if edge.step > LEAST_STEP]
     found: list[FoundEdge] = []
-    for start, end, rise in good:
-        edge = _found(start, end, rise, first, step, picture.shape)
-        if all(_apart(edge, other, step) for other in found):
+    for edge in sorted(edges, key=lambda edge: -edge.step * edge.length_px):
+        if len(found) < most and all(edge.apart(other) for other in found):
             found.append(edge)
-        if len(found) == most:
-            break
-    return found
+    return [edge.on(first, step) for edge in found]
 
 
-def _pieces(line: Floats) -> list[tuple[Floats, Floats]]:
-    """Return the pieces of a segment (x0, y0, x1, y1), each from its (x, y) to its (x, y)."""
-    start = line[:2]
-    end = line[2:]
-    length = float(np.hypot(*(end - start)))
-    if length < SHORTEST:
-        return []
-    count = max(1, round(length / PIECE))
-    return list(pairwise(start + (end - start) * k / count for k in range(count + 1)))
-
-
-def _rise(picture: Floats, start: Floats, end: Floats) -> float:
-    """Return the step from side to side along the normal (-dy, dx); 0 if a side is uneven or cut by the border.
+def _piece(picture: Floats, start: Floats, end: Floats) -> FoundEdge:
+    """Return a piece between two points (row, column), in samples; its step is nan if a side is uneven or cut by the border.
 
     Sides begin at a third of their depth, where blur has mostly ended.
     """
     length = float(np.hypot(*(end - start)))
     along = (end - start) / length
-    steps = np.arange(0.1 * length, 0.9 * length)[:, None]
-    depth = np.arange(DEEP / 3, DEEP)
-    sides = []
-    for sign in (-1, 1):
-        x = start[0] + along[0] * steps - sign * along[1] * depth
-        y = start[1] + along[1] * steps + sign * along[0] * depth
-        rows, columns = picture.shape
-        if min(x.min(), y.min()) < 0 or x.max() > columns - 1 or y.max() > rows - 1:
-            return 0.0
-        sides.append(picture[np.round(y).astype(int), np.round(x).astype(int)])
+    normal = along[::-1] * [1, -1]
+    steps = np.arange(*(length * share for share in READ_WITHIN))[:, None, None]
+    depth = np.arange(DEEP / 3, DEEP)[:, None]
+    sides = [
+        map_coordinates(
+            picture, np.moveaxis(line + side * depth, -1, 0), order=0, cval=np.nan
+        )
+        for line in [start + along * steps]
+        for side in (-normal, normal)
+    ]
     rise = float(np.median(sides[1]) - np.median(sides[0]))
     rough = max(float(np.std(cv2.blur(side, (3, 3)))) for side in sides)
-    return rise if rough < MOST_UNEVEN_SIDE * abs(rise) else 0.0
-
-
-def _found(
-    start: Floats,
-    end: Floats,
-    rise: float,
-    first: tuple[int, int],
-    step: int,
-    shape: tuple[int, ...],
-) -> FoundEdge:
-    """Return a piece as an edge in pixels of the raw."""
-    along = end - start
-    angle = float(np.arctan2(along[0], -along[1])) + (np.pi if rise < 0 else 0.0)
-    aside = DEEP * np.array([np.cos(angle), np.sin(angle)])
-    corners = np.array([start - aside, start + aside, end - aside, end + aside])
+    aside = DEEP * np.sign(rise) * normal
+    corners = np.stack([start - aside, start + aside, end - aside, end + aside])
     low = np.floor(corners.min(axis=0)).clip(0)
-    high = np.minimum(np.ceil(corners.max(axis=0)) + 1, shape[::-1])
-    middle = (start + end) / 2
-
-    def raw(x: float, y: float) -> tuple[float, float]:
-        return first[0] + step * float(y), first[1] + step * float(x)
-
-    r0, c0, r1, c1 = map(int, (*raw(*low), *raw(*high)))
+    high = np.minimum(np.ceil(corners.max(axis=0)) + 1, picture.shape)
+    r0, c0, r1, c1 = np.nan_to_num([*low, *high]).astype(int).tolist()
+    row, column = ((start + end) / 2).tolist()
     return FoundEdge(
         (r0, c0, r1, c1),
-        raw(*middle),
-        float((angle + np.pi) % (2 * np.pi) - np.pi),
-        step * float(np.hypot(*along)),
-        abs(rise),
+        (row, column),
+        float(np.arctan2(*aside)),
+        length,
+        abs(rise) if rough < MOST_UNEVEN_SIDE * abs(rise) else np.nan,
     )
-
-
-def _apart(edge: FoundEdge, other: FoundEdge, step: int) -> bool:
-    """Whether two pieces are of different edges and outside each other's sides."""
-    y, x = edge.middle[0] - other.middle[0], edge.middle[1] - other.middle[1]
-    across = x * np.cos(other.angle) + y * np.sin(other.angle)
-    along = y * np.cos(other.angle) - x * np.sin(other.angle)
-    reach = (edge.length_px + other.length_px) / 2
-    return bool(abs(across) > 1.2 * DEEP * step or abs(along) > 0.8 * reach)

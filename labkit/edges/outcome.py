@@ -13,17 +13,20 @@ import numpy as np
 
 from labkit.edges.esfr import Esfr
 from labkit.edges.found_edges import Box
-from labkit.edges.response import FittedResponse
+from labkit.edges.response import Response
 from labkit.errors import TargetError
 from labkit.files import write_atomically, writing
 from labkit.finder.find_target import grey_image
+from labkit.findings import Finding, found
 from labkit.photographs.decoding import read_photograph
 from labkit.plan import Plan, leading_channel
+from labkit.results.schema import FindingEntry
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
 CURVE_POINTS = 40
 DIGITS = 6
+LINE_DIGITS = 2
 DISAGREEMENT_STDS = 4.0
 """Standard errors of a difference, beyond which two methods disagree."""
 
@@ -59,68 +62,54 @@ class ChannelEdge:
     far: Uncertain
     chi2_per_pixel: float
     pixels: int
-    fitted: FittedResponse
+    fitted: Response
     iso: Esfr | None
     iso_problem: str = ""
 
-    @property
-    def disagreement(self) -> str:
-        """Sentence on the difference of MTF50 by ISO 12233 and by the fit; empty if their errors allow it."""
+    def disagreement(self, box: Box) -> list[Finding]:
+        """Report a difference of MTF50 by ISO 12233 and by the fit that their errors do not allow, in a box."""
         fit = self.fitted.mtf50
-        iso = None if self.iso is None else self.iso.mtf50
-        if iso is None or not math.isfinite(iso.value - fit.value):
-            return ""
-        allowed = (
-            DISAGREEMENT_STDS * math.hypot(fit.std, iso.std) + METHOD_SHARE * fit.value
-        )
-        if abs(iso.value - fit.value) <= allowed:
-            return ""
-        return (
-            f"channel {self.channel}: MTF50 is {fit} by the fit and {iso} by ISO 12233, more apart than their errors allow: "
-            "see whether the box holds one straight edge between even sides"
-        )
+        iso = fit if self.iso is None else self.iso.mtf50
+        error = math.hypot(fit.std, iso.std)
+        allowed = DISAGREEMENT_STDS * error + METHOD_SHARE * fit.value
+        if not abs(iso.value - fit.value) > allowed:
+            return []
+        words = {"fit": str(fit), "iso": str(iso), "at": _box_words(box)}
+        return [
+            found(
+                "edge-methods-disagree",
+                None,
+                words,
+                box=box,
+                channel=self.channel,
+                fit_per_mm=fit.value,
+                iso_per_mm=iso.value,
+            )
+        ]
 
     def as_json(self) -> dict[str, Any]:
         """Return an entry of "channels"."""
-        fit = self.fitted
-        iso = self.iso
-        at = np.linspace(0, fit.frequency_per_mm[-1], CURVE_POINTS)
-        curve = {"per_mm": at} | {
-            name: np.interp(at, fit.frequency_per_mm, values)
-            for name, values in (("fit", fit.value), ("fit_std", fit.std))
-        }
-        if iso is not None:
-            for name, values in (("esfr", iso.value), ("esfr_std", iso.std)):
-                curve[name] = np.interp(at, iso.frequency_per_mm, values)
         return {
             "channel": self.channel,
             "defocus_waves": self.defocus,
             "other_defocus_waves": self.other_defocus,
             "near_counts": self.near,
             "far_counts": self.far,
-            "mtf50_per_mm": fit.mtf50,
-            "mtf10_per_mm": fit.mtf10,
-            "esfr_mtf50_per_mm": iso and iso.mtf50,
-            "esfr_mtf10_per_mm": iso and iso.mtf10,
             "esfr_problem": self.iso_problem or None,
             "chi2_per_pixel": self.chi2_per_pixel,
             "pixels": self.pixels,
-            "curve": curve,
+            **_responses(
+                np.linspace(0, self.fitted.frequency_per_mm[-1], CURVE_POINTS),
+                {"": self.fitted, "esfr_": self.iso},
+            ),
         }
 
     @property
     def cells(self) -> list[str]:
         """Cells of the table from the channel on."""
-        other = " or the reverse" if self.other_defocus is not None else ""
-        return [
-            self.channel,
-            _shown(self.defocus) + other,
-            _bare(self.fitted.mtf50),
-            "" if self.iso is None else _bare(self.iso.mtf50),
-            _bare(self.fitted.mtf10),
-            "" if self.iso is None else _bare(self.iso.mtf10),
-            f"{self.chi2_per_pixel:.2f}",
-        ]
+        other = " or the reverse" if self.other_defocus else ""
+        first = [self.channel, _shown(self.defocus) + other]
+        return [*first, *_falls(self.fitted, self.iso), f"{self.chi2_per_pixel:.2f}"]
 
 
 @dataclass(frozen=True)
@@ -145,29 +134,20 @@ class MeasuredEdge:
     @property
     def main(self) -> ChannelEdge:
         """Green, or the first colour, which represents the edge in a table."""
-        names = [c.channel for c in self.channels]
-        return self.channels[names.index(leading_channel(names))]
+        every = {of.channel: of for of in self.channels}
+        return every[leading_channel([*every])]
 
     @property
     def chi2_per_pixel(self) -> float:
         """χ² per pixel over all colours."""
-        pixels = [c.pixels for c in self.channels]
-        return float(np.average([c.chi2_per_pixel for c in self.channels], weights=pixels))
-
-    @property
-    def disagreements(self) -> list[str]:
-        """Sentences on channels in which both methods contradict each other."""
-        return [
-            f"box {_box_words(self.box)}, {channel.disagreement}"
-            for channel in self.channels
-            if channel.disagreement
-        ]
+        chi2 = sum(of.chi2_per_pixel * of.pixels for of in self.channels)
+        return chi2 / sum(of.pixels for of in self.channels)
 
     def as_json(self) -> dict[str, Any]:
         """Return an entry of "edges": the keys of the contract, then others."""
         main = self.main
         return {
-            "box": list(self.box),
+            "box": self.box,
             "angle_deg": round(main.angle_deg.value, DIGITS),
             "range_mm": self.range_mm,
             "other_sign_mm": self.other,
@@ -175,21 +155,18 @@ class MeasuredEdge:
             "esfr_mtf50_per_mm": main.iso and main.iso.mtf50.value,
             "chi2_per_pixel": self.chi2_per_pixel,
             "angle_std_deg": main.angle_deg.std,
-            "line_px": [[round(float(v), 2) for v in end] for end in self.line],
+            "line_px": self.line.round(LINE_DIGITS),
             "channels": [channel.as_json() for channel in self.channels],
         }
 
     @property
     def rows(self) -> list[list[str]]:
         """Rows of the table, one for each colour."""
-        first = [
-            _box_words(self.box),
-            f"{self.main.angle_deg.value:.2f}°",
-            _shown(self.range_mm),
-            "" if self.other is None else _shown(self.other),
-        ]
-        heads = [first, *[[""] * len(first)] * (len(self.channels) - 1)]
-        return [[*head, *of.cells] for head, of in zip(heads, self.channels, strict=True)]
+        angle = f"{self.main.angle_deg.value:.2f}°"
+        ranges = [_shown(self.range_mm), _shown(self.other)]
+        return _rows(
+            [_box_words(self.box), angle, *ranges], [c.cells for c in self.channels]
+        )
 
 
 @dataclass(frozen=True)
@@ -203,40 +180,36 @@ class RejectedEdge:
     def as_json(self) -> dict[str, Any]:
         """Return an entry of "rejected"."""
         channels = [
-            {
-                "channel": name,
-                "esfr_mtf50_per_mm": iso.mtf50,
-                "esfr_mtf10_per_mm": iso.mtf10,
-                "curve": {
-                    "per_mm": iso.frequency_per_mm,
-                    "esfr": iso.value,
-                    "esfr_std": iso.std,
-                },
-            }
+            {"channel": name, **_responses(iso.frequency_per_mm, {"esfr_": iso})}
             for name, iso in self.responses.items()
         ]
-        return {"box": list(self.box), "why": self.why, "channels": channels}
+        return {"box": self.box, "why": self.why, "channels": channels}
 
     @property
     def rows(self) -> list[list[str]]:
         """Rows of the table, one for each channel with a response."""
-        return [
-            [
-                *(_box_words(self.box) if k == 0 else "", "", "", "", name, "not fitted"),
-                *("", _bare(iso.mtf50), "", _bare(iso.mtf10), ""),
-            ]
-            for k, (name, iso) in enumerate(self.responses.items())
+        cells = [
+            [name, "not fitted", *_falls(None, iso), ""]
+            for name, iso in self.responses.items()
         ]
+        return _rows([_box_words(self.box), "", "", ""], cells)
 
 
 @dataclass(frozen=True)
 class EdgesOutcome:
-    """All edges of a scene. wavefront: modes but defocus, waves RMS at the reference, if estimated with the edges."""
+    """All edges of a scene.
+
+    Attributes
+    ----------
+    edges, rejected : measured edges, and boxes without a fit
+    findings : what a user should see as warnings
+    wavefront : modes but defocus, waves RMS at the reference, if estimated with the edges
+    """
 
     edges: tuple[MeasuredEdge, ...]
     rejected: tuple[RejectedEdge, ...]
-    warnings: tuple[str, ...] = ()
-    wavefront: dict[int, Uncertain] = field(default_factory=dict)
+    findings: tuple[Finding, ...] = ()
+    wavefront: Mapping[int, Uncertain] = field(default_factory=dict)
 
     def as_json(self) -> dict[str, Any]:
         """Return the answer by the contract, schema 1."""
@@ -245,8 +218,9 @@ class EdgesOutcome:
                 "schema": 1,
                 "edges": [edge.as_json() for edge in self.edges],
                 "rejected": [of.as_json() for of in self.rejected],
-                "wavefront": {str(j): value for j, value in self.wavefront.items()} or None,
-                "warnings": list(self.warnings),
+                "wavefront": self.wavefront or None,
+                "warnings": [of.text for of in self.findings],
+                "findings": [FindingEntry.of(of).written() for of in self.findings],
             }
         )
         return answer
@@ -275,10 +249,24 @@ class EdgesOutcome:
         with styled():
             picture = png(draw_depth_map(grey, self))
         text = json.dumps(self.as_json(), indent=1, allow_nan=False).encode() + b"\n"
-        written = {"edges.json": text, "edges.png": picture}
-        for name, content in written.items():
-            write_atomically(folder / name, content)
-        return [folder / name for name in written]
+        written = {folder / "edges.json": text, folder / "edges.png": picture}
+        for path, content in written.items():
+            write_atomically(path, content)
+        return [*written]
+
+
+def _responses(at: Floats, responses: Mapping[str, Response | None]) -> dict[str, Any]:
+    """Return entries of an edge's responses by the prefixes of their keys, and the curves at frequencies (n,)."""
+    entries: dict[str, Any] = {}
+    curve = {"per_mm": at}
+    for prefix, of in responses.items():
+        entries[f"{prefix}mtf50_per_mm"] = of and of.mtf50
+        entries[f"{prefix}mtf10_per_mm"] = of and of.mtf10
+        if of is not None:
+            name = prefix.rstrip("_") or "fit"
+            curve[name] = np.interp(at, of.frequency_per_mm, of.value)
+            curve[f"{name}_std"] = np.interp(at, of.frequency_per_mm, of.std)
+    return {**entries, "curve": curve}
 
 
 def _json(value: Any) -> Any:
@@ -287,23 +275,36 @@ def _json(value: Any) -> Any:
         case Uncertain():
             return value.as_json()
         case np.ndarray():
-            return [round(x, DIGITS) if math.isfinite(x) else None for x in value.tolist()]
+            return _json(value.round(DIGITS).tolist())
         case float():
             return value if math.isfinite(value) else None
-        case list():
+        case list() | tuple():
             return [_json(each) for each in value]
         case dict():
-            return {name: _json(each) for name, each in value.items()}
+            return {str(name): _json(each) for name, each in value.items()}
     return value
 
 
-def _shown(value: Uncertain) -> str:
+def _rows(head: Sequence[str], cells: Sequence[Sequence[str]]) -> list[list[str]]:
+    """Return rows of a table, of which the first has the head."""
+    return [[*(head if k == 0 else [""] * len(head)), *row] for k, row in enumerate(cells)]
+
+
+def _falls(fitted: Response | None, iso: Response | None) -> list[str]:
+    """Return the cells of MTF50 and MTF10, by the fit and by ISO 12233."""
+    falls = [(of.mtf50, of.mtf10) if of else (None, None) for of in (fitted, iso)]
+    return [
+        "" if each is None else _shown(Uncertain(each.value, each.std))
+        for level in zip(*falls, strict=True)
+        for each in level
+    ]
+
+
+def _shown(value: Uncertain | None) -> str:
+    """Return a number's cell."""
+    if value is None:
+        return ""
     return str(value) if math.isfinite(value.value) else "-"
-
-
-def _bare(value: Uncertain) -> str:
-    """Return a number without its unit."""
-    return _shown(Uncertain(value.value, value.std))
 
 
 def _box_words(box: Sequence[int]) -> str:

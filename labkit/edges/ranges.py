@@ -4,12 +4,13 @@ Defocus is nearly linear in 1 / range, so that ranges are solved for there; beyo
 the sides apart. Colours have best foci of their own: the range that all of them agree on is on one side only.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-from scipy.optimize import brentq
 
 from labkit.optics.lens import Convention, ThinLens, defocus_waves
 from labkit.types import Floats
@@ -18,24 +19,38 @@ from labkit.uncertain import Uncertain
 AS_LIKELY = 20.0  # of twice a log-likelihood: a side that is less likely by more is none
 SAME_RANGE = 1.0  # standard errors: ranges nearer to each other are one
 FARTHEST_RANGE_MM = 1e9
-NEWTON_STEPS = 6  # of Newton, in 1 / range
-NOT_SHARED = 1e-3  # share of a variance that colours do not have in common, whatever a correlation says
 NEAREST_RANGE = 1.02  # focal lengths
+NEWTON_STEPS = 9  # of Newton, in 1 / range
+RANGE_STEP = 1e-5  # relative to a range, of differences
+NOT_SHARED = 1e-3  # share of a variance that colours do not have in common, whatever a correlation says
+LARGEST_STEP = 1e-3  # relative, of a law's numbers in differences
+UNKNOWN_RANGE = Uncertain(np.nan, np.nan, "mm")
 ZERO, FOCI = 3, 4
 """Of a law's numbers: logarithms of focal length, f-number and pupil magnification; the scale's zero; the best foci."""
 
 
 @dataclass(frozen=True)
 class FocusLaw:
-    """A lens as it stands focused: ``channels``, and focus_mm of each, its best focus, on a scale of ranges.
+    """A focused lens: defocus as a function of range.
 
-    zero_mm: what is to be added to that scale for ranges from the front principal plane. covariance: (4 + channels, same)
-    of the logarithms of focal length, f-number and pupil magnification, of the zero, and of the best foci, mm.
+    Attributes
+    ----------
+    lens : focal length, f-number, pupils
+    channels : names of the colours
+    focus_mm : (channels,) best focus of each, on a scale of ranges
+    covariance : (4 + channels, same) of the logarithms of focal length, f-number and pupil magnification, of the scale's zero,
+        and of the best foci, mm
+    reference_nm, convention : see `defocus_waves`
+    zero_mm : what is to be added to that scale for ranges from the front principal plane
+
+    Raises
+    ------
+    ValueError : sizes that contradict each other
     """
 
     lens: ThinLens
     channels: tuple[str, ...]
-    focus_mm: tuple[float, ...]
+    focus_mm: Floats
     covariance: Floats
     reference_nm: float
     convention: Convention = "corrected"
@@ -43,56 +58,87 @@ class FocusLaw:
 
     def __post_init__(self) -> None:
         size = FOCI + len(self.channels)
-        if len(self.focus_mm) != len(self.channels) or self.covariance.shape != (
-            size,
-            size,
-        ):
+        shapes = (self.focus_mm.shape, self.covariance.shape)
+        if shapes != ((len(self.channels),), (size, size)):
             raise ValueError(
                 f"{len(self.channels)} channels need as many best foci and a covariance {(size, size)}"
             )
 
-    def defocus(self, channel: str, range_mm: float) -> float:
-        """Return the defocus of a range, waves RMS at the reference: positive beyond best focus."""
-        focus, zero = self.focus_mm[self.channels.index(channel)], self.zero_mm
-        return float(
-            defocus_waves(
-                self.lens, range_mm + zero, focus + zero, self.reference_nm, self.convention
-            )
+    def of(self, channels: Sequence[str]) -> FocusLaw:
+        """Return the law of some colours."""
+        at = np.array([self.channels.index(name) for name in channels])
+        every = np.r_[:FOCI, FOCI + at]
+        covariance = self.covariance[np.ix_(every, every)]
+        focus_mm = self.focus_mm[at]
+        return replace(
+            self, channels=tuple(channels), focus_mm=focus_mm, covariance=covariance
         )
 
-    def slope(self, channel: str, range_mm: float) -> float:
-        """Return the derivative of defocus by range, waves per mm."""
-        step = 1e-5 * range_mm
-        return (
-            self.defocus(channel, range_mm + step) - self.defocus(channel, range_mm - step)
-        ) / (2 * step)
-
-    def range_mm(self, channel: str, defocus: float) -> float:
-        """Return the range of a defocus, waves RMS; infinite beyond the defocus of infinity."""
-        near, far = (
-            max(NEAREST_RANGE * self.lens.focal_length_mm - self.zero_mm, 1.0),
-            FARTHEST_RANGE_MM,
+    def defocus(self, range_mm: float) -> Floats:
+        """Return the defocus (channels,) of a range, waves RMS at the reference: positive beyond best focus."""
+        target_mm = range_mm + self.zero_mm
+        focus_mm = self.focus_mm + self.zero_mm
+        return defocus_waves(
+            self.lens, target_mm, focus_mm, self.reference_nm, self.convention
         )
-        if defocus >= self.defocus(channel, far):
-            return np.inf
-        if defocus <= self.defocus(channel, near):
-            return near
-        inverse = brentq(
-            lambda v: self.defocus(channel, 1 / v) - defocus, 1 / far, 1 / near, xtol=1e-15
-        )
-        return float(1 / inverse)
 
-    def varied(self, step: Floats) -> "FocusLaw":
+    def slope(self, range_mm: float) -> Floats:
+        """Return the derivative (channels,) of defocus by range, waves per mm."""
+        step = RANGE_STEP * range_mm
+        change = self.defocus(range_mm + step) - self.defocus(range_mm - step)
+        return np.asarray(change / (2 * step))
+
+    def range_mm(self, defocus: Floats, weight: Floats) -> float:
+        """Return the range of defoci (channels,) by least squares; infinite beyond infinity.
+
+        weight : (channels, channels)
+        """
+        farthest = 1 / FARTHEST_RANGE_MM
+        nearest = 1 / (NEAREST_RANGE * self.lens.focal_length_mm)
+        inverse = float(np.mean(1 / self.focus_mm))
+        for _ in range(NEWTON_STEPS):
+            left = defocus - self.defocus(1 / inverse)
+            slope = -self.slope(1 / inverse) / inverse**2
+            inverse += float(slope @ weight @ left / (slope @ weight @ slope))
+            inverse = min(max(inverse, farthest), nearest)
+        return 1 / inverse if inverse > 2 * farthest else np.inf
+
+    def varied(self, step: Floats) -> FocusLaw:
         """Return the law after a step in the numbers of its covariance."""
         f, n, pupils = np.exp(step[:ZERO])
         old = self.lens
         lens = ThinLens(
             old.focal_length_mm * f, old.f_number * n, old.pupil_magnification * pupils
         )
-        foci = tuple(float(mm) for mm in np.add(self.focus_mm, step[FOCI:]))
-        return replace(
-            self, lens=lens, focus_mm=foci, zero_mm=self.zero_mm + float(step[ZERO])
-        )
+        zero_mm = self.zero_mm + float(step[ZERO])
+        focus_mm = self.focus_mm + step[FOCI:]
+        return replace(self, lens=lens, focus_mm=focus_mm, zero_mm=zero_mm)
+
+    def ranged(self, defocus: Floats, weight: Floats) -> Uncertain:
+        """Return `range_mm` with the error by the errors of defocus and of the law, by differences.
+
+        An edge measures the width of its blur, 8 N times the path: another f-number means
+        another defocus.
+        """
+        value = self.range_mm(defocus, weight)
+        if not np.isfinite(value):
+            return Uncertain(value, np.inf, "mm")
+        std = np.sqrt(np.diag(self.covariance))
+        most = np.where(np.arange(std.size) < ZERO, LARGEST_STEP, LARGEST_STEP * value)
+        slopes = np.zeros(std.size)
+        for k in np.flatnonzero(std):
+            step = np.zeros(std.size)
+            step[k] = min(std[k], most[k])
+            after, before = (
+                law.range_mm(defocus * self.lens.f_number / law.lens.f_number, weight)
+                for law in (self.varied(step), self.varied(-step))
+            )
+            if not np.isfinite(after - before):
+                return Uncertain(value, np.inf, "mm")
+            slopes[k] = (after - before) / (2 * step[k])
+        slope = self.slope(value)
+        variance = 1 / (slope @ weight @ slope) + slopes @ self.covariance @ slopes
+        return Uncertain(value, float(np.sqrt(variance)), "mm")
 
 
 @dataclass(frozen=True)
@@ -108,8 +154,8 @@ class Side:
 class EdgeRange:
     """range_mm: the likeliest; other: the one on the other side of best focus, where the data do not exclude it."""
 
-    range_mm: Uncertain
-    other: Uncertain | None
+    range_mm: Uncertain = UNKNOWN_RANGE
+    other: Uncertain | None = None
 
 
 def edge_range(
@@ -135,92 +181,33 @@ def edge_range(
     """
     if not sides or not all(ends for _, ends in sides):
         raise ValueError("one colour or more, each with one side or more, are needed")
-    names = [name for name, _ in sides]
-    correlation = np.eye(len(sides)) if correlation is None else correlation
-    best = [max(end.log_likelihood for end in ends) for _, ends in sides]
+    law = law.of([name for name, _ in sides])
+    shared = np.eye(len(sides)) if correlation is None else correlation
     found = []
     for chosen in product(*(ends for _, ends in sides)):
         std = np.array([end.std for end in chosen])
         defocus = np.array([end.defocus for end in chosen])
         # on the other side errors are reversed with the defocus
         signed = std * np.sign(defocus)
-        shared = correlation * np.outer(signed, signed) + NOT_SHARED * np.diag(std**2)
-        weight = np.asarray(np.linalg.inv(shared), np.float64)
-        value = _common_range(law, names, defocus, weight)
-        if not np.isfinite(value):
-            continue
-        left = defocus - [law.defocus(name, value) for name in names]
-        lost = sum(top - end.log_likelihood for top, end in zip(best, chosen, strict=True))
-        error = _error(law, names, defocus, weight, value)
-        cost = float(left @ weight @ left) + 2 * lost
-        found.append((cost, Uncertain(value, error, "mm")))
+        covariance = shared * np.outer(signed, signed) + NOT_SHARED * np.diag(std**2)
+        weight = np.asarray(np.linalg.inv(covariance), np.float64)
+        ranged = law.ranged(defocus, weight)
+        if np.isfinite(ranged.value):
+            left = defocus - law.defocus(ranged.value)
+            likelihood = sum(end.log_likelihood for end in chosen)
+            found.append((float(left @ weight @ left) - 2 * likelihood, ranged))
     if not found:
-        return EdgeRange(Uncertain(np.nan, np.inf, "mm"), None)
-    found.sort(key=lambda of: round(of[0], 3))  # of equal ones the fit's own
-    cost, likeliest = found[0]
-    for more, other in found[1:]:
+        return EdgeRange(Uncertain(np.nan, np.inf, "mm"))
+    least = min(cost for cost, _ in found)
+    # of equal ones the fit's own
+    found.sort(key=lambda of: round(of[0] - least, 3))
+    (_, likeliest), *others = found
+    for cost, other in others:
         apart = abs(1 / other.value - 1 / likeliest.value)
         together = np.hypot(other.std / other.value**2, likeliest.std / likeliest.value**2)
-        if more - cost < AS_LIKELY and apart > SAME_RANGE * together:
+        if cost - least < AS_LIKELY and apart > SAME_RANGE * together:
             return EdgeRange(likeliest, other)
-    return EdgeRange(likeliest, None)
-
-
-def _common_range(
-    law: FocusLaw, names: Sequence[str], defocus: Floats, weight: Floats
-) -> float:
-    """Return the range by least squares in 1 / range, where the law is nearly straight; infinite if no colour
-    has a range.
-    """
-    own = [
-        min(law.range_mm(name, value), FARTHEST_RANGE_MM)
-        for name, value in zip(names, defocus, strict=True)
-    ]
-    inverse = float(np.mean([1 / value for value in own]))
-    for _ in range(NEWTON_STEPS):
-        at = 1 / max(inverse, 1 / FARTHEST_RANGE_MM)
-        left = defocus - [law.defocus(name, at) for name in names]
-        slope = np.array([-law.slope(name, at) * at**2 for name in names])
-        inverse += float(slope @ weight @ left / (slope @ weight @ slope))
-        inverse = min(
-            max(inverse, 1 / FARTHEST_RANGE_MM),
-            1 / (NEAREST_RANGE * law.lens.focal_length_mm),
-        )
-    return 1 / inverse if inverse > 2 / FARTHEST_RANGE_MM else np.inf
-
-
-def _error(
-    law: FocusLaw, names: Sequence[str], defocus: Floats, weight: Floats, value: float
-) -> float:
-    """Return the error of a range from the errors of defocus and law, by differences.
-
-    An edge measures the width of its blur, 8 N times the path: another f-number means
-    another defocus.
-    """
-    by_range = np.array([law.slope(name, value) for name in names])
-    size = len(law.covariance)
-    slopes = np.zeros(size)
-    for k in np.flatnonzero(np.diag(law.covariance) > 0):
-        step = np.zeros(size)
-        step[k] = min(
-            float(np.sqrt(law.covariance[k, k])), 1e-3 if k < ZERO else 1e-3 * value
-        )
-        ends = []
-        for sign in (1, -1):
-            varied = law.varied(sign * step)
-            ends.append(
-                _common_range(
-                    varied,
-                    names,
-                    defocus * law.lens.f_number / varied.lens.f_number,
-                    weight,
-                )
-            )
-        slopes[k] = (
-            (ends[0] - ends[1]) / (2 * step[k]) if np.all(np.isfinite(ends)) else np.inf
-        )
-    lens = slopes @ law.covariance @ slopes if np.all(np.isfinite(slopes)) else np.inf
-    return float(np.sqrt(1 / (by_range @ weight @ by_range) + lens))
+    return EdgeRange(likeliest)
 
 
 def symmetric_error(defocus: float, std: float) -> float:

@@ -1,6 +1,9 @@
 """An edge and the pixels around it: geometry, the mean that a camera records of it, and its slopes (thesis 5.1-5.27)."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -9,13 +12,11 @@ from labkit.edges.spread import edge_spread
 from labkit.imaging.optics import Optics
 from labkit.types import Bools, Floats
 
-EDGE_SIZE = 4
 LEAST_REGION_PIXELS = 60  # of a region: an edge and its noise are six numbers
 
 
-@dataclass(frozen=True)
-class Edge:
-    """A straight line between two even sides. Thesis (5.1).
+class Edge(NamedTuple):
+    """A straight line between two even sides, as the four numbers of its estimate. Thesis (5.1).
 
     Attributes
     ----------
@@ -29,27 +30,30 @@ class Edge:
     near: float
     far: float
 
-    @classmethod
-    def of(cls, theta: Floats) -> "Edge":
-        """Return the edge of a vector (4,) of the estimate."""
-        return cls(*map(float, theta))
+    @property
+    def rise(self) -> float:
+        """Step along the normal, counts."""
+        return self.far - self.near
 
     @property
-    def theta(self) -> Floats:
-        """(4,) vector of the estimate."""
-        return np.array([self.angle, self.distance_px, self.near, self.far])
-
-    @property
-    def towards_light(self) -> "Edge":
+    def towards_light(self) -> Edge:
         """The same line with its normal pointing to the brighter side."""
-        if self.far >= self.near:
-            return replace(self, angle=_turned(self.angle))
-        return Edge(_turned(self.angle + np.pi), -self.distance_px, self.far, self.near)
+        if self.rise >= 0:
+            return self._replace(angle=within_a_turn(self.angle))
+        angle = within_a_turn(self.angle + np.pi)
+        return Edge(angle, -self.distance_px, self.far, self.near)
 
 
-def _turned(angle: float) -> float:
-    """Return an angle between -pi and pi."""
+def within_a_turn(angle: float) -> float:
+    """Return an angle, radians, between -pi and pi."""
     return float((angle + np.pi) % (2 * np.pi) - np.pi)
+
+
+def turned(angle: float, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """Return coordinates along a normal at an angle (radians, from x towards y), and along its line."""
+    cosine = np.cos(angle)
+    sine = np.sin(angle)
+    return x * cosine + y * sine, y * cosine - x * sine
 
 
 @dataclass(frozen=True)
@@ -77,13 +81,13 @@ class Region:
     light: int = 0
 
     def __post_init__(self) -> None:
-        size = (np.size(self.rows),)
+        size = np.size(self.rows)
         for name, unit in (("rows", "pixels"), ("columns", "pixels"), ("counts", "counts")):
-            array = real_array(name, getattr(self, name), size, unit)
+            array = real_array(name, getattr(self, name), (size,), unit)
             object.__setattr__(self, name, array)
-        if size[0] < LEAST_REGION_PIXELS:
+        if size < LEAST_REGION_PIXELS:
             raise ValueError(
-                f"{size[0]} pixels around an edge: {LEAST_REGION_PIXELS} are needed at least"
+                f"{size} pixels around an edge: {LEAST_REGION_PIXELS} are needed at least"
             )
 
     @property
@@ -93,19 +97,14 @@ class Region:
 
     def across_and_along(self, edge: Edge) -> tuple[Floats, Floats]:
         """Return distances (n,) beyond the line along its normal, and along the line, pixels: r and t of thesis (5.1)."""
-        x, y = self.offsets
-        cosine = np.cos(edge.angle)
-        sine = np.sin(edge.angle)
-        return x * cosine + y * sine - edge.distance_px, y * cosine - x * sine
+        across, along = turned(edge.angle, *self.offsets)
+        return across - edge.distance_px, along
 
-    def part(self, chosen: Bools) -> "Region":
+    def part(self, chosen: Bools) -> Region:
         """Return some of the pixels. chosen: (n,) mask. Raises ValueError for too few."""
-        return replace(
-            self,
-            rows=self.rows[chosen],
-            columns=self.columns[chosen],
-            counts=self.counts[chosen],
-        )
+        arrays = (self.rows, self.columns, self.counts)
+        rows, columns, counts = (array[chosen] for array in arrays)
+        return replace(self, rows=rows, columns=columns, counts=counts)
 
 
 def mean_and_slopes(
@@ -119,10 +118,7 @@ def mean_and_slopes(
     pitch_um = optics.pitch_um
     reach_um = float(np.abs(across).max()) * pitch_um + pitch_um
     rows = edge_spread(optics, waves, edge.angle, reach_um).read(across * pitch_um)
-    step = rows[0]
-    line = rows[1] * pitch_um
-    by_waves = rows[2:-1]
-    turning = rows[-1]
-    rise = edge.far - edge.near
-    by_edge = np.stack([rise * (along * line + turning), -rise * line, 1 - step, step])
-    return edge.near + rise * step, by_edge, rise * by_waves
+    step, line, *by_waves, turning = rows
+    line = edge.rise * line * pitch_um
+    by_edge = np.stack([along * line + edge.rise * turning, -line, 1 - step, step])
+    return edge.near + edge.rise * step, by_edge, edge.rise * np.stack(by_waves)

@@ -1,22 +1,29 @@
-"""The camera's MTF across an edge, as its fit has it: pixel and all, each value with its standard error."""
+"""The camera's response across an edge, pixel and all, each value with its standard error."""
+
+from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from labkit.edges.edge_fit import EdgeFit
-from labkit.edges.esfr import crossing
 from labkit.edges.spread import camera_slice
+from labkit.optics.mtf import modulus
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
 RESPONSE_POINTS = 400
+UNKNOWN_FREQUENCY = Uncertain(np.nan, np.nan, "cycles/mm")
 
 
 @dataclass(frozen=True)
-class FittedResponse:
-    """Response of one edge: (n,) frequency_per_mm along its normal, value, std; its first falls to 0.5 and to
-    0.1, cycles/mm.
+class Response:
+    """The response across one edge, along its normal.
+
+    Attributes
+    ----------
+    frequency_per_mm, value, std : (n,) on the sensor
+    mtf50, mtf10 : first fall to 0.5 and to 0.1, cycles/mm; nan without a fall, and where it is not known
     """
 
     frequency_per_mm: Floats
@@ -26,27 +33,31 @@ class FittedResponse:
     mtf10: Uncertain
 
 
-def fitted_response(fit: EdgeFit, k: int = 0) -> FittedResponse:
+def fitted_response(fit: EdgeFit, k: int = 0) -> Response:
     """Return the response of one region's edge, up to twice the raw's Nyquist frequency or the lens's cutoff.
 
     Errors are by the delta method, from defocus and the other modes as the fit knows them.
     """
-    optics, region = fit.problem.optics_of(k), fit.problem.regions[k]
+    problem = fit.problem
+    optics = problem.optics_of(k)
     highest = min(1 / optics.pitch_um, 1 / (optics.airy_um * min(optics.light.nodes)))
     frequency = np.linspace(0, highest, RESPONSE_POINTS)
-    of = camera_slice(
-        optics, fit.problem.waves(fit.state, k), fit.state.edge(k).angle, frequency
-    )
-    value = np.abs(of.value)
-    phase = np.divide(np.conj(of.value), value, out=np.ones_like(of.value), where=value > 0)
-    gradient = (of.by_waves * phase).real
-    covariance = fit.wavefront_covariance(region.depth)
+    waves = problem.wavefront(fit.state, k)
+    of = camera_slice(optics, waves, fit.state.edge(k).angle, frequency)
+    value, gradient = modulus(of.value, of.by_waves)
+    covariance = fit.among(problem.wavefront(fit.state.places, k))
     std = np.sqrt(np.einsum("if,ij,jf->f", gradient, covariance, gradient).clip(0))
     per_mm = 1e3 * frequency
-    return FittedResponse(
-        per_mm,
-        value,
-        std,
-        crossing(per_mm, value, std, 0.5),
-        crossing(per_mm, value, std, 0.1),
-    )
+    falls = (crossing(per_mm, value, std, level) for level in (0.5, 0.1))
+    return Response(per_mm, value, std, *falls)
+
+
+def crossing(frequency: Floats, value: Floats, std: Floats, level: float) -> Uncertain:
+    """Return the frequency at which a curve first falls to a level, by lines between its samples; nan without a fall."""
+    k = int(np.argmax(value < level))
+    if k == 0:
+        return UNKNOWN_FREQUENCY
+    slope = (value[k] - value[k - 1]) / (frequency[k] - frequency[k - 1])
+    at = frequency[k - 1] + (level - value[k - 1]) / slope
+    error = np.interp(at, frequency, std) / abs(slope)
+    return Uncertain(at, error, "cycles/mm")

@@ -103,7 +103,7 @@ class Ranged:
 
 def law() -> FocusLaw:
     """Return the thesis's law of focus: the lens is known exactly."""
-    return FocusLaw(LENS, ("B",), (FOCUS_MM,), np.zeros((5, 5)), WAVELENGTH_NM)
+    return FocusLaw(LENS, ("B",), np.array([FOCUS_MM]), np.zeros((5, 5)), WAVELENGTH_NM)
 
 
 def optics() -> Optics:

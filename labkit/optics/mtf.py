@@ -116,7 +116,7 @@ def mtf(
     )
     along = frequency.ravel()
     azimuth = azimuth_deg(direction, field)
-    value, gradient = _modulus(
+    value, gradient = modulus(
         *transfer_function(wavefront, along, azimuth, not wavefront.exact)
     )
     variance = wavefront.variance(gradient)
@@ -140,7 +140,8 @@ def _slope(wavefront: FittedWavefront, frequency: Floats, azimuth: float) -> Flo
     return np.asarray((after - before) / (2 * step))
 
 
-def _modulus(transfer: Complexes, slopes: Complexes) -> tuple[Floats, Floats]:
+def modulus(transfer: Complexes, slopes: Complexes) -> tuple[Floats, Floats]:
+    """Return the modulus (f,) of a transfer function (f,), and its slopes (n, f) from the function's."""
     value = np.abs(transfer)
     phase = np.divide(np.conj(transfer), value, out=np.ones_like(transfer), where=value > 0)
     return value, np.asarray((slopes * phase).real)

@@ -114,7 +114,7 @@ def test_errors_of_defocus_angle_and_radiances_are_as_reported() -> None:
             of.start([0.38], [Edge(0.2, 0.6, 1000.0, 6000.0)]),
         )
         value, std = fit.defocus()
-        error = (fit.state.edges[0] - [0.2, 0.6, 1000.0, 6000.0]) / fit.edge_std(0)
+        error = (fit.state.edges[0] - [0.2, 0.6, 1000.0, 6000.0]) / fit.std.edges[0]
         pulls.append([(value - 0.4) / std, *error])
     # 80 unit normals: the RMS of them is known to 8 %
     assert 0.7 < np.sqrt(np.mean(np.square(pulls))) < 1.3
@@ -156,13 +156,12 @@ def test_edges_of_several_angles_tell_the_wavefront_that_is_fitted_along() -> No
     edges = np.array([fit.state.edges[0] for fit in apart])
     noise = np.median([fit.state.log_noise for fit in apart], axis=0)
     of = problem(*regions, lens=UNKNOWN)
-    joint = fit_jointly(
-        of, [f.defocus()[0] for f in apart], edges, range(len(regions)), noise
-    )
+    start = of.start([f.defocus()[0] for f in apart], edges, noise)
+    joint = fit_jointly(of, start, range(len(regions)))
     joint = joint if joint.state.defoci[0] > 0 else twin(joint)
     pulls = (joint.state.defoci - defoci) / [joint.defocus(k)[1] for k in range(4)]
     assert np.abs(pulls).max() < 3
-    std = np.sqrt(np.diag(joint.covariance))[: len(MODES)]
+    std = joint.std.modes
     assert np.abs((joint.state.modes - MODES) / std).max() < 3.5
     assert std.min() < 0.01  # of the prior's 0.05
 
@@ -181,7 +180,7 @@ def test_halves_of_one_edge_agree_and_of_two_do_not() -> None:
     mixed = np.where(one.rows < 14, one.counts, region(1.1, 0.2, rng).counts)
     for counts, alike in ((one.counts, True), (mixed, False)):
         parts = halves(searched(replace(one, counts=counts))[0])
-        assert parts is not None
+        assert parts
         (a, a_std), (b, b_std) = (part.defocus() for part in parts)
         assert (abs(a - b) < 4 * np.hypot(a_std, b_std)) == alike
 

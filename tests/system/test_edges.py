@@ -125,6 +125,7 @@ def test_edges_are_found_where_none_are_given_and_ranges_need_a_focus(
     found, err = asked(folder, capsys, "--most", "1")
     assert len(found["edges"]) == 1
     assert found["edges"][0]["range_mm"] == {"value": None, "std": None}
+    assert [finding["code"] for finding in found["findings"]] == ["ranges-not-determined"]
     assert "--focus" in err
 
 
@@ -156,6 +157,7 @@ def test_the_psf_of_another_camera_is_refused_unless_forced(
     found, err = asked(folder, capsys, *psf, "--force")
     assert len(found["edges"]) == 1
     assert "by force: lens.f_number = 8" in err
+    assert found["findings"][0]["code"] == "psf-of-another-camera"
 
 
 def test_a_channel_that_the_session_lacks_is_refused(

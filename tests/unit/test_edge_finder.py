@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from labkit.edges.first_fits import refuse_no_edge, rough_edge
+from labkit.edges.first_fits import rough_edge
 from labkit.edges.found_edges import find_edges
 from labkit.edges.region import Region
 from labkit.errors import DataError
@@ -81,14 +81,13 @@ def region(counts: Floats) -> Region:
 )
 def test_what_is_no_edge_is_refused_in_one_line(counts: Floats, words: str) -> None:
     with pytest.raises(DataError, match=words) as caught:
-        refuse_no_edge(of := region(counts), rough_edge(of))
+        rough_edge(region(counts)).refuse_no_edge()
     assert "\n" not in str(caught.value)
 
 
 def test_a_rough_edge_is_where_the_edge_is() -> None:
-    of = region(turned_square(12.0)[100:140, 40:80])
-    rough = rough_edge(of)
-    refuse_no_edge(of, rough)
+    rough = rough_edge(region(turned_square(12.0)[100:140, 40:80]))
+    rough.refuse_no_edge()
     edge = rough.edge.towards_light
     assert np.degrees(edge.angle) == pytest.approx(12.0, abs=0.5)
     away = (

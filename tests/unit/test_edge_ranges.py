@@ -14,7 +14,7 @@ FOCI = {"R": 1531.0, "G": 1524.0, "B": 1538.0}
 def law(*names: str, zero_mm: float = 0.0, **std: float) -> FocusLaw:
     order = ("f", "n", "mp", "zero")
     covariance = np.diag([std.get(name, 0.0) ** 2 for name in (*order, *names)])
-    foci = tuple(FOCI[name] - zero_mm for name in names)
+    foci = np.array([FOCI[name] - zero_mm for name in names])
     return FocusLaw(LENS, names, foci, covariance, REFERENCE_NM, zero_mm=zero_mm)
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from labkit.edges.esfr import Esfr
 from labkit.edges.outcome import ChannelEdge
-from labkit.edges.response import FittedResponse
+from labkit.edges.response import Response
 from labkit.uncertain import Uncertain
 
 NOTHING = Uncertain(0.0, 0.0)
@@ -23,7 +23,7 @@ def edge(fit: Uncertain, iso: Uncertain | None) -> ChannelEdge:
         far=NOTHING,
         chi2_per_pixel=1.0,
         pixels=400,
-        fitted=FittedResponse(*curve, fit, NOTHING),
+        fitted=Response(*curve, fit, NOTHING),
         iso=by_the_standard,
     )
 
@@ -43,8 +43,13 @@ def test_two_methods_that_contradict_each_other_are_told(
     iso: tuple[float, float] | None, told: bool
 ) -> None:
     fit = Uncertain(55.3, 1.0, "cycles/mm")
-    words = edge(fit, iso and Uncertain(*iso, "cycles/mm")).disagreement
-    assert bool(words) == told
-    if told:
-        assert words.startswith("channel G: MTF50 is 55.3 ± 1.0 cycles/mm by the fit and ")
-        assert "more apart than their errors allow" in words
+    by_the_standard = iso and Uncertain(*iso, "cycles/mm")
+    findings = edge(fit, by_the_standard).disagreement((1, 2, 30, 40))
+    assert bool(findings) == told
+    for finding in findings:
+        assert finding.code == "edge-methods-disagree"
+        assert finding.numbers["fit_per_mm"] == 55.3
+        assert finding.text.startswith(
+            "box 1,2,30,40, channel G: MTF50 is 55.3 ± 1.0 cycles/mm by the fit and "
+        )
+        assert "more apart than their errors allow" in finding.text

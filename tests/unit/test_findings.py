@@ -132,6 +132,17 @@ SAMPLES = [
     camera_parts_missing({"veil": "veiling glare"}, MOVES),
     stated_model_moves(MOVES, 0, 4),
     found("panel-aperture-found", None, {"across": "0.8 ± 0.1", "down": "0.9 ± 0.1"}),
+    found("ranges-not-determined"),
+    found("psf-of-another-camera", difference="lens.f_number = 4, the session's is 2.8"),
+    found(
+        "edge-methods-disagree",
+        None,
+        {"at": "1,2,30,40", "fit": "55.3 ± 1.0 cycles/mm", "iso": "87.4 ± 1.7 cycles/mm"},
+        box=[1, 2, 30, 40],
+        channel="G",
+        fit_per_mm=55.3,
+        iso_per_mm=87.4,
+    ),
 ]
 """One of each."""
 
