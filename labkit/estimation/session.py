@@ -8,13 +8,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from labkit.errors import FitError
-from labkit.estimation.camera import CameraChoice, Parts
+from labkit.estimation.camera import CameraChoice, Parts, Refits, with_tests
 from labkit.estimation.estimate import Estimate, LocalFit, is_ranged, observed
 from labkit.estimation.laws import Laws
 from labkit.estimation.lens_fit import fit_lens
 from labkit.estimation.local import Found, Guesses, Optimum
 from labkit.estimation.observation import Observation
-from labkit.estimation.refits import Refits, with_tests
 from labkit.estimation.searches import Searches
 from labkit.estimation.select import OUT, Selection, lens_of, poor_model, select
 from labkit.estimation.settings import SETTINGS

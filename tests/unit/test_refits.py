@@ -9,8 +9,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from labkit.estimation.camera import Refits
 from labkit.estimation.local import Found, Guesses, Optimum
-from labkit.estimation.refits import Refits
 from labkit.estimation.searches import Searches
 from labkit.estimation.stated import optics_of
 from labkit.imaging.optics import Optics
