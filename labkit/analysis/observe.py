@@ -118,7 +118,7 @@ SURROUND_LEVELS = {"black": 0.0, "white": 1.0}
 
 
 def _surround_findings(plan: Plan, observations: Sequence[Observation]) -> list[Finding]:
-    """Report a surround that the photographs show to be another one than the plan states."""
+    """Report a surround that is lighter or darker in the photographs than the plan states."""
     stated = SURROUND_LEVELS.get(plan.target.surround)
     levels = [
         level
@@ -198,7 +198,7 @@ def _locate(frame: Frame, plan: Plan, target: Target) -> _Shot:
 
 
 def _other_surround(mosaic: Photograph, frame: Frame, plan: Plan) -> str | None:
-    """Return the surround with which the target is found, black or white, where the plan states the other one."""
+    """Return the surround with which the target is found, black or white, where the plan states the other."""
     if plan.target.surround not in SURROUND_LEVELS:
         return None
     (other,) = SURROUND_LEVELS.keys() - {plan.target.surround}
@@ -212,7 +212,7 @@ def _other_surround(mosaic: Photograph, frame: Frame, plan: Plan) -> str | None:
 
 
 def _stated_scale(frame: Frame, plan: Plan) -> float | None:
-    """Return the size of a pixel on the target, mm, by plan and range; None if they do not state it."""
+    """Return the size of a pixel on the target, mm, by plan and range; None if not stated."""
     if frame.range_mm is None or frame.range_mm <= plan.lens.focal_length_mm:
         return None
     lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)

@@ -87,7 +87,7 @@ def findings_of(
     wavefronts : wavefronts of all the session's fits
     numbers : estimated quantities of camera parts, see `model_parts`
     plan : the session's plan
-    patience_s : processor time of one search
+    patience_s : processor time of a search
     """
     return [
         *(found("fit-left-out", note=words) for words in session.lost),
@@ -105,7 +105,7 @@ def session_findings(session: Estimate, patience_s: float) -> list[Finding]:
     Parameters
     ----------
     session : the estimate
-    patience_s : processor time of one search
+    patience_s : processor time of a search
     """
     lens = session.lens
     findings = [*_search_findings(session, patience_s), *_open_signs(session)]
@@ -115,7 +115,7 @@ def session_findings(session: Estimate, patience_s: float) -> list[Finding]:
 
 
 def _open_signs(session: Estimate) -> list[Finding]:
-    """Report wavefronts of open sign: one finding for the session, else one for a channel, else one for each."""
+    """Report wavefronts of open sign: a single finding for the session, else for a channel, else for each wavefront."""
     is_open = {
         fit.observation.key: k not in session.signed and k not in session.outliers
         for k, fit in enumerate(session.fits)
@@ -243,7 +243,7 @@ def _number(
 
 
 def higher_modes(wavefronts: Sequence[Wavefront], plan: Plan) -> Iterator[Finding]:
-    """Report the modes that were added to the plan's, with their RMS in the wavefront that determines them best."""
+    """Report the modes added to the plan's, with their RMS in the wavefront with the least errors."""
     best = min(wavefronts, key=lambda w: float(np.sum(w.std)))
     added = [j for j in best.noll if j not in plan.fit.noll]
     if added:
@@ -330,7 +330,7 @@ def part_findings(
 def _light_contradicted(
     values: Mapping[str, Uncertain], named_nm: Mapping[str, float]
 ) -> Finding:
-    """Report widths of the light, nm by channel, other than those of the light that the plan names."""
+    """Report widths of the light, nm by channel, other than of the light named by the plan."""
     words = [f"{c} {values[c]} in place of {nm:.0f} nm" for c, nm in named_nm.items()]
     return found(
         "light-contradicted",
@@ -342,7 +342,7 @@ def _light_contradicted(
 
 
 def _named_widths(session: Estimate) -> dict[str, float]:
-    """Return the standard deviation of the light that the plan names, nm, by channel."""
+    """Return the standard deviation of the light named by the plan, nm, by channel."""
     return {
         fit.channel: 1e3
         * fit.optics.wavelength_um
@@ -353,7 +353,7 @@ def _named_widths(session: Estimate) -> dict[str, float]:
 
 
 def _moves_by_missing(session: Estimate, wavefronts: Sequence[Wavefront]) -> Moves:
-    """Return changes of the session's results due to parts that the model lacks."""
+    """Return changes of the session's results due to parts absent from the model."""
     pairs = list[tuple[FittedWavefront, FittedWavefront]]()
     for k in session.trusted:
         modes, cone = shift(session.fits[k].optimum, session.with_all_parts(k))
@@ -366,7 +366,7 @@ def _moves_by_missing(session: Estimate, wavefronts: Sequence[Wavefront]) -> Mov
 
 
 def _focus_bias(lens: LensFit) -> dict[str, float]:
-    """Return the change of each best focus, mm, due to parts that the model lacks."""
+    """Return the change of each best focus, mm, due to parts absent from the model."""
     focus = as_focus(lens)
     if focus is None or lens.bias is None:
         return {}
@@ -382,7 +382,7 @@ def _change(
 
     Returns
     -------
-    changes of all results, number of optima that would be rejected, number of all optima
+    changes of all results, number of optima to be rejected, number of all optima
     """
     plain = session.stated_camera
     if plain is None or session.with_stated_camera(0) is None:
@@ -423,7 +423,7 @@ def _waves_difference(wavefront: FittedWavefront, other: FittedWavefront) -> flo
 
 
 def doubtful_wavefronts(wavefronts: Sequence[Wavefront]) -> Iterator[Finding]:
-    """Yield findings about doubtful wavefronts; one finding if the model is incomplete for most."""
+    """Yield findings about doubtful wavefronts; a single finding if the model is incomplete for most."""
     poor = {
         w.key
         for w in wavefronts

@@ -1,6 +1,6 @@
 """Camera parts that a session estimated, in data-sheet units, and upper limits on the width of each channel's light.
 
-Photographs hardly determine the width, and PSFs depend on it.
+Photographs hardly determine the width, on which PSFs depend.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def in_words(parts: Collection[str]) -> dict[str, str]:
 
 
 def _group(session: Estimate, name: str, channel: Sequence[str]) -> Estimated:
-    """Return a group of numbers as the fits have it, of a channel if it is one channel's."""
+    """Return a group of numbers as the fits have it, of a channel if the numbers are a channel's own."""
     for fit in session.fits:
         for group in fit.optics.estimated:
             if group.name == name and (not channel or fit.channel == channel[0]):
@@ -117,7 +117,7 @@ def widest_light_nm(session: Estimate, plan: Plan) -> dict[str, float]:
 
 
 def _of_estimated(session: Estimate, plan: Plan) -> dict[str, float]:
-    """Return upper limits on the widths that a session estimated, nm, by channel."""
+    """Return upper limits on estimated widths, nm, by channel."""
     if session.lens is None:
         return {}
     parts = {

@@ -1,4 +1,4 @@
-"""Select camera parts and modes that a session shows and its plan does not state: forward selection by summed score tests.
+"""Select camera parts and modes, shown by a session and absent from its plan: forward selection by summed score tests.
 
 A score test at every optimum gives the log-likelihood that each absent part would gain (C. R. Rao, Proc. Camb. Phil. Soc.
 44, 50 (1948)). The sums over a session name the part to try. The most significant fits are refitted with it, and the
@@ -46,7 +46,7 @@ def cost(parts: Parts) -> float:
     """Return the penalty of a choice of parts and modes, in log-likelihood.
 
     By chance n numbers gain more than their penalty once in `1 / SETTINGS.part_chance` sessions: twice the gain is
-    distributed as chi-squared with n degrees of freedom. A rarer blur must gain clearly more than the commonest one.
+    distributed as chi-squared with n degrees of freedom. A rarer blur must gain clearly more than the commonest blur.
     """
     rarer = parts & set(ALIKE_BLURS[1:])
     numbers = [len(KNOWN[name].labels) for name in parts - rarer if name in KNOWN]
@@ -56,7 +56,7 @@ def cost(parts: Parts) -> float:
 
 
 def chance_gain(numbers: int) -> float:
-    """Return the log-likelihood that some absent numbers gain by chance once in `1 / SETTINGS.part_chance` sessions."""
+    """Return the log-likelihood gained by absent numbers by chance once in `1 / SETTINGS.part_chance` sessions."""
     return 0.5 * float(chdtri(numbers, SETTINGS.part_chance))
 
 
@@ -66,7 +66,7 @@ def summed_score_tests(fits: Sequence[tuple[str, Optimum]]) -> dict[str, ScoreTe
     Parameters
     ----------
     fits : channel and optimum of each fit. Parts of the light are tested for each channel and joined into one test. Modes and
-        parts of the rim are summed over the fits that were tested for them, other parts only if all fits were.
+        parts of the rim are summed over the fits tested for them, other parts only if all fits were.
     """
     tests = [one.scores for _, one in fits]
     names = [
@@ -95,7 +95,7 @@ def summed_score_tests(fits: Sequence[tuple[str, Optimum]]) -> dict[str, ScoreTe
 
 
 def wald_losses(fits: Sequence[Measured]) -> dict[str, float]:
-    """Return the log-likelihood that fits would lose without each part, and without the highest modes (Wald test)."""
+    """Return the log-likelihood lost without each part, and without the highest modes (Wald test)."""
     losses = dict[str, float]()
     for measured in fits:
         labels = [label.split(".")[0] for label in measured.parts]
@@ -116,7 +116,7 @@ def wald_losses(fits: Sequence[Measured]) -> dict[str, float]:
 
 
 def extended(parts: Parts, name: str) -> Parts:
-    """Return a choice with a further part, or with all groups of modes up to one."""
+    """Return a choice with a further part, or with all groups of modes up to a last group."""
     if name not in MODE_GROUPS:
         return parts | {name}
     groups = list(MODE_GROUPS)
@@ -124,7 +124,7 @@ def extended(parts: Parts, name: str) -> Parts:
 
 
 def kind(name: str) -> str:
-    """Return what a part or a group of modes is an example of: parts of one kind explain the same."""
+    """Return the kind of a part or a group of modes: parts of a kind explain the same departures."""
     if name in MODE_GROUPS:
         return "modes"
     return "blur" if name in ALIKE_BLURS else KNOWN[name].kind or name
@@ -136,7 +136,7 @@ def _explained(fits: Iterable[Optimum]) -> int:
 
 
 def _least_gain(fits: Sequence[Optimum]) -> float:
-    """Return the least gain of a part: a share of what is unexplained, unless most fits are explained.
+    """Return the least gain of a part: a share of the unexplained log-likelihood, unless most fits are explained.
 
     A part with a smaller gain stands for something else that the model lacks.
     """
@@ -147,7 +147,7 @@ def _least_gain(fits: Sequence[Optimum]) -> float:
 
 
 def _far(name: str) -> bool:
-    """Whether a fit tells what a part gains, not its score."""
+    """Whether only a fit determines the gain of a part, and no score test."""
     return name in KNOWN and KNOWN[name].far
 
 
@@ -166,7 +166,7 @@ class Fitted:
         )
 
     def net_gain(self, before: Fitted) -> float:
-        """Return the gain less what the parts cost in addition."""
+        """Return the gain less the cost of the added parts."""
         return self.gain(before) - cost(self.parts) + cost(before.parts)
 
     def better(self, before: Fitted) -> bool:
@@ -188,7 +188,7 @@ class CameraChoice:
     refit : refits observations, each from its optimum, with a choice of parts
     wanted : parts that the plan requests to fit, which always stay
     channels : channel of each observation
-    tried : parts that were tested for, with their gains
+    tried : parts tested for, with their gains
     missing : the significant part that was refused because it explains too little of the residuals
     with_missing : fits with the missing part
     """
@@ -378,7 +378,7 @@ class Refits:
 def _with_the_light(begin: Optimum, optics: Optics) -> tuple[Optics, State]:
     """Return optics and state whose pupil is as large as an optimum's, and whose wavefront is the same.
 
-    The unit circle of a pupil that is cut to a cat's eye is the full pupil's.
+    The unit circle of a cat's eye is the full pupil's.
     """
     state = with_modes(begin.state, begin.optics, optics)
     wider = float(np.sqrt(begin.optics.rim.area / optics.rim.area))
@@ -391,7 +391,7 @@ def _with_the_light(begin: Optimum, optics: Optics) -> tuple[Optics, State]:
 def with_tests(guess: Guesses, optics: Optics, plan: Plan) -> Guesses:
     """Return a guess that requests score tests for all that the optics lack and the plan leaves open.
 
-    Tests for modes and for the pupil's rim take longer than those for other parts. Predicted fits are tested for them only if
+    Tests for modes and for the pupil's rim take longer than tests for other parts. Predicted fits are tested for them only if
     they are not explained.
     """
     modes = tuple(n for n in plan.fit.mode_groups if MODE_GROUPS[n].last not in optics.noll)

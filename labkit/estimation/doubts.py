@@ -1,4 +1,4 @@
-"""Doubts about an estimate that its errors allow for: camera parts that the model lacks, and open signs.
+"""Doubts about an estimate, for which its errors allow: camera parts absent from the model, and open signs.
 
 A sandwich covariance describes how residuals that are not noise scatter an estimate, but not a bias common to all fits. The
 bias follows from the same fits with the missing part, and open signs from the lens with twins in place of the fits. Estimates
@@ -86,7 +86,7 @@ def with_turned(lens: LensFit, rows: Sequence[int], signs: Floats) -> Iterator[L
     Parameters
     ----------
     lens : the estimate
-    rows : observations of open sign; all turn together, or those of one station, or of one channel
+    rows : observations of open sign; all turn together, or all of a station, or all of a channel
     signs : (values,) factors of the values in a twin
     """
     for turned in _together(lens, rows):

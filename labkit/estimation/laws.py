@@ -1,4 +1,4 @@
-"""Parameters of a session, what is known of each before the session, and how far observations may depart from the laws."""
+"""Parameters of a session, prior knowledge of each, and how far observations may depart from the laws."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Score tests for numbers that a model lacks, at the optimum without them: parts of the camera, and groups of modes.
+"""Score tests for numbers absent from a model, at the optimum without them: parts of the camera, and groups of modes.
 
 A part is parametrised so that the likelihood is regular where all its numbers are 0 (`labkit.imaging.parts`). The slope there
-gives the log-likelihood that the part would gain, to second order, without a fit that includes the part: C. R. Rao, Proc.
+gives the part's gain in log-likelihood, to second order, without a fit of the part: C. R. Rao, Proc.
 Camb. Phil. Soc. 44, 50 (1948).
 """
 
@@ -25,7 +25,7 @@ from labkit.types import Floats
 
 @dataclass(frozen=True)
 class ScoreTest:
-    """A Rao score test for one group of n numbers.
+    """A Rao score test for a group of n numbers.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class ScoreTest:
 
     @property
     def gain(self) -> float:
-        """Log-likelihood that the numbers would gain; 0 if the likeliest ones are unphysical."""
+        """Gain of the numbers in log-likelihood; 0 if the likeliest numbers are unphysical."""
         step = self.step
         if self.one_sided and not (step.max() > 0 and step.sum() > 0):
             return 0.0
@@ -98,7 +98,7 @@ def score_tests(
 
     Returns
     -------
-    one test for each name. The test of a group of modes includes all lower groups in `names`.
+    a test for each name. The test of a group of modes includes all lower groups in `names`.
     """
     if not names:
         return {}

@@ -37,16 +37,16 @@ def estimate(
     patience_s: float = np.inf,
     plain: bool = False,
 ) -> Estimate:
-    """Estimate every wavefront of a session, and the lens that they have in common.
+    """Estimate every wavefront of a session, and the lens common to all.
 
     Parameters
     ----------
     observations : the session's, in order
-    plan : what they were taken with
-    targets : the target as it is shown to each channel
+    plan : lens, camera and target as stated
+    targets : the target as shown to each channel
     run : maps the searches
-    progress : called with what is under way
-    patience_s : processor time of one search, after which it makes no further start
+    progress : called with the searches under way
+    patience_s : processor time of one search, after which no start is made
     plain : whether camera parts that the plan does not state stay out of the model
 
     Raises

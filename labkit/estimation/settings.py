@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from labkit.plan.tables import ENGRAVED_F_NUMBER
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -72,8 +74,6 @@ class Settings:
     """Standard errors, all parameters together: a climb ends if the remaining distance is shorter."""
     settled_stds: float = 0.3
     """Standard errors: a shorter step moves an optimum by less than 1e-5 waves beyond second order."""
-    f_number_margin: float = 0.06
-    """Relative change of the f-number, two standard errors of an engraving, that a model allows without being rebuilt."""
     narrow_window: float = 0.8
     """Least share of a wavefront's required window: twice as much light falls outside a smaller window."""
     blocks: int = 10
@@ -145,6 +145,11 @@ class Settings:
     """RMS over the modes: a smaller difference is no other optimum."""
     shared_f_number_std: float = 0.01
     """Relative error of a working f-number that other frames of the session measured."""
+
+    @property
+    def f_number_margin(self) -> float:
+        """Relative change of the f-number, two standard errors of an engraving, without a new model."""
+        return 2 * ENGRAVED_F_NUMBER
 
 
 SETTINGS = Settings()
