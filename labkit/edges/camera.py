@@ -21,7 +21,6 @@ from labkit.optics.lens import USUAL_LOG_MAGNIFICATION, ThinLens
 from labkit.optics.wavefront import DEFOCUS
 from labkit.plan import Plan, leading_channel
 from labkit.results import Results
-from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
 MODE_FLOOR = 1e-3  # waves RMS: as alike as a session's modes are at another range
@@ -97,7 +96,7 @@ def focus_law(
     lens, spread, zero = _lens(plan, results)
     each = [known.get(name, Uncertain(0.0, 0.0)) for name in names]
     foci = np.array([mm.value for mm in each])
-    covariance = np.diag([*spread**2, zero.std**2, *(mm.std**2 for mm in each)])
+    covariance = np.diag(np.square([*spread, zero.std, *(mm.std for mm in each)]))
     if focus is not None:
         foci += focus.value - foci[names.index(leading_channel(names))]
         covariance[FOCI:, FOCI:] += np.nan_to_num(focus.std) ** 2
@@ -112,14 +111,19 @@ def focus_law(
     )
 
 
-def _lens(plan: Plan, results: Results | None) -> tuple[ThinLens, Floats, Uncertain]:
+def _lens(plan: Plan, results: Results | None) -> tuple[ThinLens, list[float], Uncertain]:
     """Return the lens, standard errors of the logarithms of its three numbers, and the zero of the scale of ranges."""
     if results is not None and results.lens is not None:
         of = results.lens
         numbers = (of.focal_length, of.f_number, of.pupil_magnification)
-        spread = [min(x.std / x.value, USUAL_LOG_MAGNIFICATION) for x in numbers]
-        return of.thin, np.array(spread), of.range_zero
-    f, n = plan.lens.stated_focal_length, plan.lens.stated_f_number
-    spread = [f.std / f.value, n.std / n.value, USUAL_LOG_MAGNIFICATION]
-    zero_std = plan.fit.range_zero_std_mm if results else 0.0
-    return _thin(plan), np.array(spread), Uncertain(0.0, zero_std, "mm")
+        thin = of.thin
+        zero = of.range_zero
+    else:
+        numbers = (
+            plan.lens.stated_focal_length,
+            plan.lens.stated_f_number,
+            Uncertain(1.0, USUAL_LOG_MAGNIFICATION),
+        )
+        thin = _thin(plan)
+        zero = Uncertain(0.0, plan.fit.range_zero_std_mm if results else 0.0, "mm")
+    return thin, [min(x.std / x.value, USUAL_LOG_MAGNIFICATION) for x in numbers], zero

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from labkit.edges.found_edges import Box
-from labkit.edges.outcome import EdgesOutcome, MeasuredEdge
+from labkit.edges.outcome import EdgesOutcome
 from labkit.figure_style import INK, SOFT_INK, WIDTH_IN
 from labkit.types import Floats
+from labkit.uncertain import Uncertain
 
 MAP = "viridis"  # in order of lightness too: for colour-blind readers, and in print
 MOST_LABELS = 24
 WIDE_PT, RIM_PT = 4.0, 6.5
+LABEL_BOX = {"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 1.0}
 
 
 def draw_depth_map(grey: Floats, outcome: EdgesOutcome) -> Figure:
@@ -24,80 +24,53 @@ def draw_depth_map(grey: Floats, outcome: EdgesOutcome) -> Figure:
     grey: (rows, columns) about 0 to 1, of the raw's pixels. Rejected boxes are drawn dashed.
     """
     rows, columns = grey.shape
-    figure = Figure(
-        figsize=(WIDTH_IN, WIDTH_IN * 0.86 * rows / columns + 1.1), layout="constrained"
-    )
+    size = (WIDTH_IN, WIDTH_IN * 0.86 * rows / columns + 1.1)
+    figure = Figure(figsize=size, layout="constrained")
     axes = figure.subplots()
     axes.imshow(
-        np.sqrt(np.clip(grey, 0, 1)),
-        cmap="gray",
-        vmin=-0.1,
-        vmax=1.3,
-        interpolation="nearest",
+        np.sqrt(grey.clip(0, 1)), cmap="gray", vmin=-0.1, vmax=1.3, interpolation="nearest"
     )
     axes.grid(False)
-    axes.set(
-        xlabel="column, px",
-        ylabel="row, px",
-        xlim=(-0.5, columns - 0.5),
-        ylim=(rows - 0.5, -0.5),
-    )
-    values, label = _values(outcome.edges)
-    lines = [edge.line[:, ::-1] for edge in outcome.edges]
-    axes.add_collection(
-        LineCollection(lines, colors="white", linewidths=RIM_PT, capstyle="round")
-    )
+    axes.set(xlabel="column, px", ylabel="row, px")
+    edges = outcome.edges
+    numbers = [(edge.range_mm, edge.other) for edge in edges]
+    label, digits = "range, mm", 0
+    if not any(np.isfinite(own.value) for own, _ in numbers):
+        numbers = [(edge.main.defocus, None) for edge in edges]
+        numbers = [(Uncertain(abs(own.value), own.std), None) for own, _ in numbers]
+        label, digits = "defocus, waves RMS, either sign", 2
+    lines = [edge.line[:, ::-1] for edge in edges]
+    rim = LineCollection(lines, colors="white", linewidths=RIM_PT, capstyle="round")
     drawn = LineCollection(lines, cmap=MAP, linewidths=WIDE_PT, capstyle="round")
-    drawn.set_array(values)
-    axes.add_collection(drawn)
-    if len(outcome.edges):
+    drawn.set_array(np.array([own.value for own, _ in numbers]))
+    boxes = [_outline(of.box) for of in outcome.rejected]
+    dashed = LineCollection(
+        boxes, colors=SOFT_INK, linestyles=[(0, (3, 2))], linewidths=0.8
+    )
+    for collection in (rim, drawn, dashed):
+        axes.add_collection(collection, autolim=False)
+    if edges:
         figure.colorbar(drawn, ax=axes, label=label, shrink=0.85, pad=0.01)
-    for edge, words in zip(
-        outcome.edges[:MOST_LABELS], _labels(outcome.edges, label), strict=False
-    ):
-        row, column = edge.line.mean(axis=0)
-        box = {"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 1.0}
+    for line, each in list(zip(lines, numbers, strict=True))[:MOST_LABELS]:
+        words = [
+            f"{of.value:.{digits}f} ± {of.std:.{digits}f}"
+            for of in each
+            if of is not None and np.isfinite(of.value)
+        ]
         axes.annotate(
-            words,
-            (column, row),
+            "\nor ".join(words),
+            line.mean(axis=0),
             (6, 6),
             textcoords="offset points",
             fontsize=6.5,
             color=INK,
-            bbox=box,
+            bbox=LABEL_BOX,
         )
-    for of in outcome.rejected:
-        axes.plot(*_outline(of.box), color=SOFT_INK, linestyle=(0, (3, 2)), linewidth=0.8)
-    axes.set_title(f"{len(outcome.edges)} edges, {len(outcome.rejected)} rejected")
+    axes.set_title(f"{len(edges)} edges, {len(outcome.rejected)} rejected")
     return figure
 
 
-def _values(edges: Sequence[MeasuredEdge]) -> tuple[Floats, str]:
-    ranges = np.array([edge.range_mm.value for edge in edges])
-    if np.isfinite(ranges).any():
-        return ranges, "range, mm"
-    return np.array(
-        [abs(edge.main.defocus.value) for edge in edges]
-    ), "defocus, waves RMS, either sign"
-
-
-def _labels(edges: Sequence[MeasuredEdge], label: str) -> list[str]:
-    if label.startswith("range"):
-        return [_words(edge) for edge in edges]
-    return [f"{abs(e.main.defocus.value):.2f} ± {e.main.defocus.std:.2f}" for e in edges]
-
-
-def _words(edge: MeasuredEdge) -> str:
-    """Return the range, and the other range if there is one."""
-    if not np.isfinite(edge.range_mm.value):
-        return ""
-    other = (
-        "" if edge.other is None else f"\nor {edge.other.value:.0f} ± {edge.other.std:.0f}"
-    )
-    return f"{edge.range_mm.value:.0f} ± {edge.range_mm.std:.0f}{other}"
-
-
-def _outline(box: Box) -> tuple[list[float], list[float]]:
-    """Return columns and rows around a box."""
+def _outline(box: Box) -> Floats:
+    """Return the corners (5, 2) of a box, column and row, back to the first."""
     r0, c0, r1, c1 = (x - 0.5 for x in box)
-    return [c0, c1, c1, c0, c0], [r0, r0, r1, r1, r0]
+    return np.array([(c0, r0), (c1, r0), (c1, r1), (c0, r1), (c0, r0)])
