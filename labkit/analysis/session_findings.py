@@ -46,8 +46,8 @@ from labkit.findings import (
     two_camps,
     undetermined,
 )
+from labkit.imaging.panel_aperture import Aperture
 from labkit.imaging.parts import OPTIONAL_PARTS, SpectrumWidth
-from labkit.imaging.parts.aperture import Aperture
 from labkit.key import Key
 from labkit.optics.lens import TELLING_STD
 from labkit.optics.metrics import psf_difference, rms

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from labkit.imaging.optics import Optics
+from labkit.imaging.panel_aperture import Aperture
 from labkit.imaging.parts import KNOWN
-from labkit.imaging.parts.aperture import Aperture
 from labkit.optics.lens import USUAL_LOG_MAGNIFICATION, Convention, ThinLens
 from labkit.optics.spectrum import Spectrum
 from labkit.plan import Channel, Plan

@@ -11,8 +11,8 @@ import numpy as np
 
 from labkit.arrays import positive
 from labkit.imaging.estimated import Estimated
+from labkit.imaging.panel_aperture import Aperture
 from labkit.imaging.parts import KNOWN, Part, SpectrumWidth, rim_of
-from labkit.imaging.parts.aperture import Aperture
 from labkit.imaging.window import window_for
 from labkit.mode_groups import MODE_GROUPS
 from labkit.optics.rim import Rim

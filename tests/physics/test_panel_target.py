@@ -9,7 +9,7 @@ import pytest
 
 from labkit.errors import TargetError
 from labkit.imaging.model import ForwardModel
-from labkit.imaging.parts.aperture import Aperture
+from labkit.imaging.panel_aperture import Aperture
 from labkit.panel.drawn_target import PanelTarget
 from labkit.target import CellTarget, low_pass
 from labkit.types import Floats

@@ -16,6 +16,7 @@ from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import optics_of, wanted_parts
 from labkit.imaging.estimated import root
 from labkit.imaging.model import ForwardModel
+from labkit.imaging.panel_aperture import Aperture
 from labkit.imaging.parts import (
     ESTIMATED,
     KNOWN,
@@ -30,7 +31,6 @@ from labkit.imaging.parts import (
     UnevenRim,
     Veil,
 )
-from labkit.imaging.parts.aperture import Aperture
 from labkit.imaging.parts.rim import USUAL_SHARE
 from labkit.optics.spectrum import Spectrum
 from labkit.plan import Channel, Plan

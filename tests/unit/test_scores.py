@@ -13,8 +13,8 @@ from labkit.estimation.expansion import Freed, free_f_number, with_modes
 from labkit.estimation.scores import ScoreTest, score_tests, twin_scores
 from labkit.estimation.settings import SETTINGS
 from labkit.imaging.model import ForwardModel
+from labkit.imaging.panel_aperture import Aperture
 from labkit.imaging.parts import KNOWN, Diffusion, LowPass, Part, SpectrumWidth, Veil
-from labkit.imaging.parts.aperture import Aperture
 from labkit.imaging.parts.blur import SCALE_PX
 from labkit.mode_groups import MODE_GROUPS
 from labkit.optics.spectrum import Spectrum

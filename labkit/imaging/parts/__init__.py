@@ -1,7 +1,7 @@
 """Parts of camera and lens that blur, in a file for each kind. A new part is a class and an entry in `KNOWN`."""
 
 from labkit.imaging.estimated import Estimated
-from labkit.imaging.parts.aperture import Aperture
+from labkit.imaging.panel_aperture import Aperture
 from labkit.imaging.parts.blur import Diffusion, LowPass, Smear, Veil
 from labkit.imaging.parts.part import Part, rim_of
 from labkit.imaging.parts.rim import Blades, CatsEye, Obstruction, UnevenRim
