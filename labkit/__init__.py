@@ -22,6 +22,12 @@ if TYPE_CHECKING:
     from labkit.analysis.fit import fit
     from labkit.analysis.image import fit_image
     from labkit.calibration.tone_wedge import measure_tone
+    from labkit.catalogue.sessions import (
+        compare_sessions,
+        lens_history,
+        list_sessions,
+        rebuild_catalogue,
+    )
     from labkit.demo import run_demo
     from labkit.devices.inventory import list_connected
     from labkit.devices.rail_calibration import calibrate_rail
@@ -56,15 +62,19 @@ _PLACES = {
     "camera_settings": "acquisition.camera_check",
     "capture": "acquisition.capture",
     "check_camera": "acquisition.camera_check",
+    "compare_sessions": "catalogue.sessions",
     "draft_plan": "session.draft_plan",
     "fit": "analysis.fit",
     "fit_image": "analysis.image",
     "import_frames": "session.import_frames",
+    "lens_history": "catalogue.sessions",
     "list_connected": "devices.inventory",
+    "list_sessions": "catalogue.sessions",
     "measure_edges": "edges.measurement",
     "measure_tone": "calibration.tone_wedge",
     "open_devices": "devices.registry",
     "open_target": "target",
+    "rebuild_catalogue": "catalogue.sessions",
     "render_target": "target_file",
     "restore": "restoration.scenes",
     "run_demo": "demo",
@@ -89,15 +99,19 @@ __all__ = [
     "camera_settings",
     "capture",
     "check_camera",
+    "compare_sessions",
     "draft_plan",
     "fit",
     "fit_image",
     "import_frames",
+    "lens_history",
     "list_connected",
+    "list_sessions",
     "measure_edges",
     "measure_tone",
     "open_devices",
     "open_target",
+    "rebuild_catalogue",
     "render_target",
     "restore",
     "run_demo",

@@ -21,6 +21,7 @@ from labkit.results import (
     Results,
     Wavefront,
 )
+from labkit.results.common import CommonNumbers, StatedNumber
 from labkit.results.model import OtherOptimum, PartTried, ResidualSpectrum
 from labkit.uncertain import Uncertain
 from tests.plans import PORTRAIT, plan_text
@@ -134,6 +135,14 @@ CUT = Rim(
 """A pupil that lacks nothing that pupils may have."""
 
 
+COMMON = CommonNumbers(
+    ("waves.R.5", "f_number"),
+    np.array([0.03, 2.874]),
+    np.array([[1.44e-6, 1e-6], [1e-6, 1.21e-4]]),
+    {"f-number": StatedNumber(2.8, 0.084, np.array([0.0001, 0.002]))},
+)
+
+
 def full_results() -> Results:
     """Results that hold everything that results can hold."""
     others = (OtherOptimum(np.array([0.0751, 0.03, -0.04]), 120.0),)
@@ -158,6 +167,7 @@ def full_results() -> Results:
                 {"name": "B", "wavelength_nm": 450.0, "light": "led-panel"},
             ]
         ),
+        common=COMMON,
         joint={"focal_length_mm": 0.1},
         model_parts={
             "low_pass_filter.spread_px": Uncertain(0.55, 0.01, "px"),

@@ -8,10 +8,11 @@ from typing import Any
 import typer
 
 from docs.generators.markdown import code, directive
-from labkit.cli import bench, sessions
+from labkit.cli import bench, catalogue, sessions
 from labkit.cli.app import app
 
 assert bench
+assert catalogue
 assert sessions  # they add their commands to the app
 
 

@@ -42,6 +42,7 @@ NAMED = {
     "budget.",
     "joint.",
     "model_parts.",
+    "common.stated.",
     "light.",
     "widest_light_nm.",
     "focus_waves_per_nm.",

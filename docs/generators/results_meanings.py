@@ -183,6 +183,22 @@ MEANINGS = {
     "parts_tried[].part": "Its name.",
     "parts_tried[].gain": "Log-likelihood that it would gain, by the likelihood's slope.",
     "parts_tried[].adopted": "Whether it was taken into the model.",
+    "common": (
+        "Numbers of the lens that all ranges share, for `labkit compare`, with their joint covariance; null without a lens:"
+    ),
+    "common.names": (
+        "`waves.G.7`: Noll mode 7 of G, waves RMS; `colour_um.R`: focal length of R less that of G, µm; "
+        "`best_focus_mm.G`: of G or the first channel; `ln_pupil_magnification`: its logarithm."
+    ),
+    "common.values": "Their values.",
+    "common.covariance": (
+        "Their joint covariance, with the plan's numbers taken as right within their errors."
+    ),
+    "common.stated": "Numbers that were known before the photographs, such as the engraved f-number:",
+    "common.stated.NAME": "One number's:",
+    "common.stated.NAME.value": "Value as known; 0 for relative errors and logarithms.",
+    "common.stated.NAME.std": "Standard error as known.",
+    "common.stated.NAME.moves": "Change of each value for a change of this number by its standard error.",
     "light": "Of channels whose plan names the light, by the tables that come with labkit:",
     "light.NAME": "One channel's:",
     "light.NAME.name": "Kind of light.",

@@ -96,12 +96,13 @@ def open_lone_camera(where: str, context: DeviceContext | None = None) -> LoneCa
     path = Path(where)
     planned = path.suffix == ".toml" or path.is_file()
     plan = Plan.load(path) if planned else Plan.parse(BARE.format(address=where), Path())
-    if plan.camera is None:
+    camera = plan.capture_camera
+    if camera is None:
         raise CameraError(
             f"plan {where} has no [camera]: add it, or give an address such as gphoto2:"
         )
     return LoneCamera(
-        open_camera(plan.camera.address, plan, context or DeviceContext()), plan, planned
+        open_camera(camera.address, plan, context or DeviceContext()), plan, planned
     )
 
 

@@ -106,6 +106,7 @@ def fit_command(session: Path) -> str:
 
 def bench_settings(plan: Plan) -> tuple[CameraSettings, RailSettings]:
     """Return the camera and the rail of a plan. Raises PlanError if the plan lacks one of the two."""
-    if plan.camera is None or plan.rail is None:
+    camera = plan.capture_camera
+    if camera is None or plan.rail is None:
         raise PlanError("to capture, the plan needs [camera] and [rail]")
-    return plan.camera, plan.rail
+    return camera, plan.rail

@@ -84,7 +84,7 @@ class Setup:
     def of(cls, plan: Plan, ranges_mm: Sequence[float], electrons: float) -> Setup:
         """Return the setup of a plan, with best focus in the middle of the ranges."""
         lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
-        frames = plan.camera.frames_per_range if plan.camera else 1
+        frames = plan.capture_camera.frames_per_range if plan.capture_camera else 1
         return cls(
             plan,
             lens,

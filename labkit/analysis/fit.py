@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from labkit.analysis.common_numbers import common_numbers
 from labkit.analysis.kept_fits import FOLDER, KeptFits
 from labkit.analysis.observe import observe, selected
 from labkit.analysis.session_findings import findings_of
@@ -281,6 +282,7 @@ def _results(
         model_parts=numbers,
         parts_tried=fits.tried,
         widest_light_nm=widest_light_nm(fits, plan),
+        common=common_numbers(fits),
         findings=tuple(findings),
         unanswered=unanswered(findings)
         if fits.lost or (wanted and focus is None)

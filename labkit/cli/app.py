@@ -29,6 +29,8 @@ camera_app = typer.Typer(help="The camera by itself.", no_args_is_help=True)
 app.add_typer(camera_app, name="camera")
 rail_app = typer.Typer(help="The rail by itself.", no_args_is_help=True)
 app.add_typer(rail_app, name="rail")
+catalogue_app = typer.Typer(help="The catalogue of sessions.", no_args_is_help=True)
+app.add_typer(catalogue_app, name="catalogue")
 
 CameraPlace = Annotated[
     str,

@@ -23,6 +23,7 @@ from labkit.files import open_standard_streams
 
 COMMANDS = {
     "bench": {"camera", "capture", "devices", "rail", "target"},
+    "catalogue": {"catalogue", "compare", "history", "list"},
     "edges": {"edges"},
     "focus": {"camera"},
     "restoring": {"restore"},

@@ -132,17 +132,17 @@ def open_devices(
     ...     bench.rail.home()
     """
     context = context or DeviceContext()
-    if plan.camera is None or plan.rail is None:
-        missing = ", ".join(
-            f"[{name}]" for name in ("camera", "rail") if getattr(plan, name) is None
-        )
+    settings = plan.capture_camera
+    if settings is None or plan.rail is None:
+        tables = {"camera": settings, "rail": plan.rail}
+        missing = ", ".join(f"[{name}]" for name in tables if tables[name] is None)
         raise PlanError(
             f"the plan has no {missing}: to capture, it needs [camera] and [rail]"
         )
     shown_at = BY_HAND if plan.display is None else plan.display.address
     with ExitStack() as stack:
         camera = stack.enter_context(
-            open_camera(simulated or plan.camera.address, plan, context)
+            open_camera(simulated or settings.address, plan, context)
         )
         rail = stack.enter_context(open_rail(simulated or plan.rail.address, plan, context))
         display = stack.enter_context(open_display(simulated or shown_at, plan, context))

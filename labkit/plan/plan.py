@@ -129,6 +129,11 @@ class Plan(Table):
             else DEFAULT_REFERENCE_NM
         )
 
+    @property
+    def capture_camera(self) -> CameraSettings | None:
+        """The camera's settings for a capture; None where the plan states no more than its body."""
+        return self.camera if self.camera is not None and self.camera.captures else None
+
     def named_light(self, channel: str) -> ChannelLight | None:
         """The light of a channel by its name and by the sensor's filters; None where the plan names none."""
         of = next((one for one in self.channel if one.name == channel), None)

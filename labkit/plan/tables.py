@@ -90,6 +90,10 @@ class Lens(Table):
     """Diameter of the pupil's obstructed middle over the pupil's, such as a mirror lens's; `"fit"` estimates
     it. Default: none, and `labkit fit` tests for an obstruction.
     """
+    name: Short | None = None
+    """Name of the lens, for the report and the catalogue. Default: as the photographs' EXIF states it."""
+    serial: Short | None = None
+    """Serial number of the lens. Default: as the photographs' EXIF states it."""
     focal_length_std_mm: Error | None = None
     """Standard error of the engraved focal length. Default: 2 %."""
     f_number_std: Error | None = None
@@ -261,10 +265,6 @@ class About(Table):
 
     title: Short | None = None
     """Title of the report. Default: the session's name."""
-    lens: Short | None = None
-    """Name of the lens."""
-    serial: Short | None = None
-    """Serial number of the lens."""
     operator: Short | None = None
     """Name of the person who measured."""
     note: Note | None = None
@@ -272,13 +272,17 @@ class About(Table):
 
 
 class CameraSettings(Table):
-    """The camera: its address, exposure and number of photographs."""
+    """The camera: its name, and for a capture its address, exposure and number of photographs."""
 
-    address: Address
+    body: Short | None = None
+    """Name of the camera's body, for the catalogue. Default: as the photographs' EXIF states it."""
+    address: Address = Field(default_factory=str)
     """Driver and device: `"gphoto2:"` for the only camera on USB, `"gphoto2:usb:001,004"`, on a network
-    `"gphoto2:ptpip:192.168.1.5"`, `"simulated:"`."""
-    exposure_s: Annotated[Number, AfterValidator(Allowed(1e-5, 3600))]
-    """Exposure time of every frame."""
+    `"gphoto2:ptpip:192.168.1.5"`, `"simulated:"`. Default: none, a capture needs it."""
+    exposure_s: Annotated[Number, AfterValidator(Allowed(1e-5, 3600))] = Field(
+        default_factory=float
+    )
+    """Exposure time of every frame. Default: none, a capture needs it."""
     iso: Annotated[Count, AfterValidator(Allowed(1, 10_000_000, whole=True))] = 100
     """Sensitivity of every frame."""
     f_number: Annotated[Number, AfterValidator(Allowed(0.3, 256))] | None = None
@@ -291,6 +295,21 @@ class CameraSettings(Table):
     """Photographs of the white display at each range."""
     darks: Annotated[Count, AfterValidator(Allowed(0, 10_000, whole=True))] = 8
     """Photographs with the lens capped."""
+
+    @property
+    def captures(self) -> bool:
+        """Whether a capture can use it: not where it names the body alone."""
+        return bool(self.address)
+
+    @model_validator(mode="after")
+    def _complete(self) -> CameraSettings:
+        needed = ("address", "exposure_s")
+        missing = [name for name in needed if name not in self.model_fields_set]
+        if missing and self.model_fields_set != {"body"}:
+            raise problem(
+                f"{missing[0]} is missing: allowed is body alone, or both of {', '.join(needed)}"
+            )
+        return self
 
 
 class RailSettings(Table):

@@ -10,7 +10,8 @@ import numpy as np
 
 from labkit.figure_style import channel_inks
 from labkit.optics.wavefront import DEFOCUS
-from labkit.plan import About, Plan
+from labkit.plan import Plan
+from labkit.plan.tables import Lens
 from labkit.report.camera_table import light_table, missing_words, part_table, tried_table
 from labkit.report.curves import MTF_DIRECTIONS, ChannelFocus, Curves
 from labkit.report.fit_tables import fit_table, method_table, residual_table
@@ -79,7 +80,7 @@ def contents(
         "sections": sections,
         "title": plan.about.title or session_name(m),
         "session": session_name(m) if plan.about.title else "",
-        "lens_line": _lens_line(plan.about),
+        "lens_line": _lens_line(plan.lens),
         "about": plan.about,
         "lede": _lede(m, plan, photographs),
         "reference": f"{reference_nm:g} nm",
@@ -130,10 +131,10 @@ def session_name(m: Results) -> str:
     return name if session.name == "latest" else f"{name}, {session.name}"
 
 
-def _lens_line(about: About) -> str:
+def _lens_line(lens: Lens) -> str:
     """Return the lens and its serial number as the plan states them; empty where it does not."""
-    serial = about.serial and f"serial number {about.serial}"
-    return ", ".join(filter(None, (about.lens, serial)))
+    serial = lens.serial and f"serial number {lens.serial}"
+    return ", ".join(filter(None, (lens.name, serial)))
 
 
 def _lede(m: Results, plan: Plan, photographs: Photographs) -> str:

@@ -11,8 +11,20 @@ from pydantic import Field
 from labkit.mode_groups import USUAL_NOLL
 from labkit.optics.metrics import rms_by_order
 from labkit.optics.rim import Diaphragm
-from labkit.results.kept import Entry, Millimetres, PositiveEntry, uncertain
+from labkit.results.common import CommonNumbers, StatedNumber
+from labkit.results.kept import (
+    Entry,
+    Finite,
+    Matrix,
+    Millimetres,
+    Name,
+    PositiveEntry,
+    array,
+    table,
+    uncertain,
+)
 from labkit.results.model import Lens
+from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
 if TYPE_CHECKING:
@@ -75,3 +87,23 @@ def _pupil_entry(results: Results, lens: Lens) -> dict[str, Any]:
         },
         "outer_f_number": f_number.as_json(),
     }
+
+
+class StatedEntry(Entry):
+    """A number that was known before the session."""
+
+    value: Finite
+    std: Finite
+    moves: Annotated[Floats, array(tuple[Finite, ...])]
+
+
+class CommonEntry(Entry):
+    """The lens's numbers with their joint covariance."""
+
+    names: tuple[Name, ...]
+    values: Annotated[Floats, array(tuple[Finite, ...])]
+    covariance: Matrix
+    stated: dict[Name, Annotated[StatedNumber, table(StatedEntry, StatedNumber)]]
+
+
+Common = Annotated[CommonNumbers, table(CommonEntry, CommonNumbers)]

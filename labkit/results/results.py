@@ -17,6 +17,7 @@ from labkit.key import Key, same_range
 from labkit.optics.lens import ThinLens
 from labkit.plan import Plan
 from labkit.results import storage, tables, verdicts
+from labkit.results.common import CommonNumbers
 from labkit.results.model import Focus, Lens, PartTried, Wavefront
 from labkit.results.tables import (
     ChannelSummary,
@@ -44,6 +45,7 @@ class Results:
     standard deviation that they allow each channel's light, with 95 % confidence, where the plan states no spectrum or names a
     kind of light.
     findings: what to know of the numbers; `warnings` are the texts of those that warn.
+    common: numbers of the lens with their joint covariance, for comparison with another session; None without a lens.
     unanswered: what these frames cannot determine though it was to be estimated; findings say it too. folder: where it is
     kept.
 
@@ -62,6 +64,7 @@ class Results:
     model_parts: dict[str, Uncertain] = field(default_factory=dict)
     parts_tried: tuple[PartTried, ...] = ()
     widest_light_nm: dict[str, float] = field(default_factory=dict)
+    common: CommonNumbers | None = None
     findings: tuple[Finding, ...] = ()
     unanswered: str | None = None
     created: str = field(
@@ -185,12 +188,15 @@ class Results:
         return 0.0 if self.lens is None else self.lens.range_zero.value
 
     @classmethod
-    def load(cls, folder: Path | str, name: str = "latest") -> Results:
+    def load(
+        cls, folder: Path | str, name: str = "latest", *, residuals: bool = True
+    ) -> Results:
         """The results of that name in a session's folder, or those in a results folder itself.
 
-        Raises DataError where there are none, or they cannot be read.
+        residuals: whether to read the residuals too, most of the files' size. Raises DataError where there are no results, or
+        they cannot be read.
         """
-        return cls(**storage.read(Path(folder), name))
+        return cls(**storage.read(Path(folder), name, residuals=residuals))
 
     def write(self, folder: Path) -> Path:
         """Write results.json and its arrays into a folder; returns the path of results.json. Raises InputError."""

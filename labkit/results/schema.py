@@ -54,7 +54,7 @@ from labkit.results.kept import (
     table,
     uncertain,
 )
-from labkit.results.lens_entry import LensEntry
+from labkit.results.lens_entry import Common, LensEntry
 from labkit.results.model import (
     Focus,
     Lens,
@@ -436,6 +436,7 @@ class Content(Entry):
     joint: dict[Name, Finite] = Field(default_factory=dict)
     model_parts: dict[Name, Annotated[Uncertain, uncertain()]] = Field(default_factory=dict)
     parts_tried: tuple[Annotated[PartTried, table(PartTriedEntry, PartTried)], ...] = ()
+    common: Common | None = None
     light: dict[Name, LightEntry] = Field(default_factory=dict)
     widest_light_nm: dict[Name, Tenths] = Field(default_factory=dict)
     focus_waves_per_nm: dict[Name, Finite] = Field(default_factory=dict)
@@ -475,7 +476,7 @@ class Content(Entry):
         """Return the fields of results, but for their plan, folder and residuals. Raises ValueError."""
         same = (
             *("plan_sha256", "focus", "budget", "joint", "parts_tried", "widest_light_nm"),
-            *("unanswered", "created", "labkit_version"),
+            *("common", "unanswered", "created", "labkit_version"),
         )
         return {name: getattr(self, name) for name in same} | {
             "wavefronts": tuple(entry.wavefront(plan) for entry in self.wavefronts),

@@ -68,10 +68,10 @@ def write(folder: Path, results: Results) -> Path:
     return folder / RESULTS_FILE
 
 
-def read(folder: Path, name: str) -> dict[str, Any]:
+def read(folder: Path, name: str, *, residuals: bool = True) -> dict[str, Any]:
     """The fields of results: of a session's folder those of that name, or those of a results folder.
 
-    Raises DataError, or SessionError for a name that is unsafe, and for links.
+    residuals: whether to read the residuals too. Raises DataError, or SessionError for a name that is unsafe, and for links.
     """
     session = folder / "results"
     place = (
@@ -103,8 +103,11 @@ def read(folder: Path, name: str) -> dict[str, Any]:
         raise DataError(
             f"{path} is not as schema {schema} has it: {error}; fit the session again"
         ) from None
-    wavefronts = tuple(_with_residuals(fields["wavefronts"], place / RESIDUALS))
-    return {**fields, "plan": plan, "folder": place, "wavefronts": wavefronts}
+    if residuals:
+        fields["wavefronts"] = tuple(
+            _with_residuals(fields["wavefronts"], place / RESIDUALS)
+        )
+    return {**fields, "plan": plan, "folder": place}
 
 
 def kept_keys(folder: Path) -> set[Key]:

@@ -22,7 +22,9 @@ LAYERS = {
         *("devices", "acquisition"),
     ],
     "estimation": ["estimation"],
-    "subjects": ["analysis", "advice", "restoration", "edges", "experiments"],
+    "subjects": [
+        *("analysis", "advice", "restoration", "edges", "catalogue", "experiments"),
+    ],
     "faces": ["report", "demo", "cli"],
 }
 """Six layers from top to bottom, and their rooms: each imports from rooms before it, those of its own layer included."""

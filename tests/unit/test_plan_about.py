@@ -23,10 +23,26 @@ def refusal(more: str) -> str:
 
 
 def test_what_the_report_says_of_a_measurement_is_optional() -> None:
-    about = parse(LEAST + '[about]\ntitle = "Repair 17"\nserial = "0042"\n').about
-    assert (about.title, about.serial) == ("Repair 17", "0042")
+    about = parse(LEAST + '[about]\ntitle = "Repair 17"\noperator = "A"\n').about
+    assert (about.title, about.operator) == ("Repair 17", "A")
     assert parse(LEAST).about == About()
     assert set(About().model_dump().values()) == {None}
+
+
+def test_a_plan_names_lens_and_body() -> None:
+    plan = parse(LEAST + '[camera]\nbody = "Z 8"\n').replace(lens={"serial": "0042"})
+    assert plan.lens.serial == "0042"
+    assert plan.camera is not None
+    assert plan.camera.body == "Z 8"
+    assert plan.capture_camera is None
+
+
+def test_a_camera_without_an_address_names_its_body_alone() -> None:
+    words = (
+        "camera.address is missing: allowed is body alone, or both of address, exposure_s"
+    )
+    assert words in refusal('[camera]\nbody = "Z 8"\niso = 100\n')
+    assert words in refusal("[camera]\n")
 
 
 @pytest.mark.parametrize(
@@ -34,10 +50,10 @@ def test_what_the_report_says_of_a_measurement_is_optional() -> None:
     [
         (f'title = "{"x" * 81}"', "about.title = 'xxx"),
         (f'note = "{"x" * 201}"', "printable text of 1 to 200 characters"),
-        ('lens = ""', "about.lens = '': allowed is printable text of 1 to 80 characters"),
+        ('title = ""', "about.title = '': allowed is printable text of 1 to 80 characters"),
         ('operator = " "', "about.operator = ' '"),
         ('note = "a\\nb"', "on one line"),
-        ("serial = 42", "about.serial = 42"),
+        ("operator = 42", "about.operator = 42"),
         ('name = "x"', "about.name is no known key"),
     ],
 )

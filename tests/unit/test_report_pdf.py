@@ -24,8 +24,6 @@ from tests.results_samples import PLAN, a_wavefront, some_results, written
 HOSTILE = '</style><b>"\\22 } * { display: none'
 ABOUT = About(
     title=f"Repair 17 {HOSTILE}",
-    lens="Apo 70",
-    serial="0042",
     operator="A. Tester",
     note="Mount replaced",
 )
@@ -39,7 +37,8 @@ prints = pytest.mark.skipif(not BROWSER, reason="no Chromium to print with")
 
 
 def plan_about(about: About) -> Plan:
-    return PLAN.model_copy(update={"about": about})
+    lens = {"name": "Apo 70", "serial": "0042"}
+    return PLAN.replace(lens=lens).model_copy(update={"about": about})
 
 
 @pytest.fixture(scope="module")

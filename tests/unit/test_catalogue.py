@@ -1,0 +1,273 @@
+"""The catalogue follows the folders, survives damage, and finds a lens's sessions again."""
+
+from __future__ import annotations
+
+import json
+import os
+import sqlite3
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from labkit.catalogue import entry as entry_module
+from labkit.catalogue import store
+from labkit.catalogue.history import history_of
+from labkit.catalogue.pictures import history_picture
+from labkit.catalogue.sessions import compare_sessions, lens_history, list_sessions
+from labkit.catalogue.store import CATALOGUE_FILE, read_catalogue
+from labkit.cli import run
+from labkit.errors import DataError, InputError
+from labkit.photographs.exif import Exif
+from labkit.session.session import Session
+from tests.results_samples import PLAN, some_results
+
+APO = {"name": "Apo 70", "serial": "0042"}
+
+
+def a_session(folder: Path, name: str, lens: dict[str, str] = APO, **changed: Any) -> Path:
+    """A session with results and one file in the place of a photograph."""
+    plan = PLAN.replace(lens=lens)
+    photograph = folder / "any.dng"
+    photograph.write_bytes(b"no photograph")
+    with Session.create(folder / name, plan.to_toml(), folder) as session:
+        session.add_frame(photograph, "a.dng", "target", 3000.0)
+    some_results(plan=plan, **changed).write(folder / name / "results" / "latest")
+    return folder / name
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    a_session(tmp_path, "night-1")
+    a_session(tmp_path, "night-2")
+    return tmp_path
+
+
+def names(folder: Path) -> list[str]:
+    return [entry.folder for entry in list_sessions(folder).entries]
+
+
+def forbid_reading(patch: pytest.MonkeyPatch) -> None:
+    def read(session: Path, name: str) -> None:
+        raise AssertionError(f"{session} was read again")
+
+    patch.setattr(store, "read_entry", read)
+
+
+def test_an_entry_holds_what_the_session_measured(folder: Path) -> None:
+    entry = list_sessions(folder).entries[0]
+    assert (entry.folder, entry.name, entry.lens_label) == (
+        "night-1",
+        "latest",
+        "Apo 70 0042",
+    )
+    assert str(entry.numbers["best_focus_mm", "R"]) == "2986.84 ± 0.42 mm"
+    assert str(entry.numbers["waves.8", "B"]) == "-0.0400 ± 0.0013 waves"
+    assert entry.numbers["f_number", ""].value == 2.874
+    assert entry.taken
+    assert entry.problem == ""
+
+
+def test_what_the_plan_leaves_out_is_taken_from_the_photograph(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    exif = Exif(camera="Z 8", camera_serial="7", lens="Nikkor", taken="2026:11:22 09:08:07")
+    monkeypatch.setattr("labkit.photographs.exif.read_exif", lambda path: exif)
+    session = a_session(tmp_path, "night", lens={"serial": "99"})
+    entry = entry_module.read_entry(session, "latest")
+    assert (entry.lens_label, entry.camera, entry.taken) == (
+        "Nikkor 99",
+        "Z 8 7",
+        "2026-11-22T09:08:07",
+    )
+
+
+def test_a_session_is_read_again_only_if_its_results_changed(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = list_sessions(folder)
+    with monkeypatch.context() as patch:
+        forbid_reading(patch)
+        assert list_sessions(folder) == before
+    os.utime(folder / "night-1" / "results" / "latest" / "results.json", (1, 1))
+    with monkeypatch.context() as patch:
+        forbid_reading(patch)
+        with pytest.raises(AssertionError, match="night-1 was read again"):
+            list_sessions(folder)
+
+
+def test_the_catalogue_follows_the_folders(folder: Path) -> None:
+    assert names(folder) == ["night-1", "night-2"]
+    (folder / "night-1").rename(folder / "night-0")
+    Session.create(folder / "night-3", PLAN.to_toml(), folder).close()
+    entries = list_sessions(folder).entries
+    assert [(entry.folder, entry.state) for entry in entries][::2] == [
+        ("night-0", entries[1].state),
+        ("night-3", "not fitted"),
+    ]
+
+
+def edit(session: Path, change: Callable[[dict[str, Any]], Any]) -> None:
+    file = session / "results" / "latest" / "results.json"
+    held = json.loads(file.read_text())
+    change(held)
+    file.write_text(json.dumps(held))
+
+
+def test_results_that_cannot_be_read_are_named_and_left_out(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    edit(folder / "night-1", lambda held: held.update(schema=4))
+    (folder / "night-2" / "results" / "latest" / "results.json").write_text("{")
+    assert run(["list", str(folder)]) == 0
+    printed = capsys.readouterr()
+    assert "night-1 is left out" in printed.err
+    assert "has schema 4; this version reads schemas 1 to 3" in printed.err
+    assert "night-2 is left out" in printed.err
+    assert "night" not in printed.out.replace(str(folder), "")
+
+
+@pytest.mark.parametrize("damage", [b"no database at all, but long enough" * 40, b""])
+def test_a_damaged_catalogue_is_built_anew(folder: Path, damage: bytes) -> None:
+    before = list_sessions(folder).entries
+    (folder / CATALOGUE_FILE).write_bytes(damage)
+    found = list_sessions(folder)
+    assert found.entries == before
+    assert [words.split(" (")[0] for words in found.warnings] == [
+        f"{folder / CATALOGUE_FILE} was damaged"
+    ][: len(damage)]
+    assert list_sessions(folder).warnings == ()
+
+
+def test_a_catalogue_with_a_torn_page_is_built_anew(folder: Path) -> None:
+    before = list_sessions(folder).entries
+    file = folder / CATALOGUE_FILE
+    whole = file.read_bytes()
+    file.write_bytes(whole[: len(whole) // 2 // 4096 * 4096])
+    assert list_sessions(folder).entries == before
+    assert list_sessions(folder).warnings == ()
+
+
+def test_a_deleted_catalogue_is_built_anew(folder: Path) -> None:
+    before = list_sessions(folder)
+    (folder / CATALOGUE_FILE).unlink()
+    assert list_sessions(folder) == before
+
+
+def test_a_locked_catalogue_is_waited_for_and_then_done_without(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(store, "BUSY_S", 0.05)
+    before = list_sessions(folder).entries
+    os.utime(folder / "night-1" / "results" / "latest" / "results.json", (1, 1))
+    with closing(sqlite3.connect(folder / CATALOGUE_FILE, isolation_level=None)) as other:
+        other.execute("BEGIN IMMEDIATE")
+        found = list_sessions(folder)
+        assert found.entries == before
+        assert "cannot be written (database is locked)" in found.warnings[0]
+        with pytest.raises(InputError, match="end what uses it, or allow writing"):
+            read_catalogue(folder, rebuild=True)
+
+
+def test_without_permission_to_write_sessions_are_listed_all_the_same(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / CATALOGUE_FILE).mkdir()  # for root too, nothing can be written there
+    assert run(["list", str(folder)]) == 0
+    printed = capsys.readouterr()
+    assert "night-2" in printed.out
+    assert printed.err.count("\n") == 1
+    assert run(["catalogue", "rebuild", str(folder)]) == 2
+    assert "cannot be written" in capsys.readouterr().err
+
+
+def test_a_catalogue_of_a_later_version_stays_as_it_is(folder: Path) -> None:
+    before = list_sessions(folder).entries
+    file = folder / CATALOGUE_FILE
+    with closing(sqlite3.connect(file)) as database:
+        database.execute("PRAGMA user_version = 99")
+    found = list_sessions(folder)
+    assert found.entries == before
+    assert "it is of version 99, of a later labkit" in found.warnings[0]
+
+
+def test_a_catalogue_of_an_earlier_version_is_migrated_and_filled_again(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = list_sessions(folder).entries
+    later = (*store.MIGRATIONS, "ALTER TABLE results ADD COLUMN more TEXT")
+    monkeypatch.setattr(store, "MIGRATIONS", later)
+    with monkeypatch.context() as patch:
+        forbid_reading(patch)
+        with pytest.raises(AssertionError, match="night-1 was read again"):
+            list_sessions(folder)
+    assert list_sessions(folder).entries == before
+    with closing(sqlite3.connect(folder / CATALOGUE_FILE)) as database:
+        assert database.execute("PRAGMA user_version").fetchone() == (2,)
+        assert database.execute("PRAGMA journal_mode").fetchone() == ("wal",)
+
+
+def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="give the folder that the sessions are in"):
+        list_sessions(tmp_path / "nowhere")
+
+
+def test_a_lens_has_its_sessions_in_the_order_of_their_time(folder: Path) -> None:
+    a_session(folder, "after", lens={"name": "Apo 70", "serial": "0043"})
+    history = lens_history("0042", folder=folder)
+    assert (history.lens, history.channel) == ("Apo 70 0042", "R")
+    assert [entry.folder for entry in history.entries] == ["night-1", "night-2"]
+    assert history.modes == (5, 8)
+    assert history_picture(history).startswith(b"<?xml")
+
+
+def test_a_lens_or_channel_that_is_not_clear_is_asked_for_again(folder: Path) -> None:
+    a_session(folder, "after", lens={"name": "Apo 70", "serial": "0043"})
+    entries = list_sessions(folder).entries
+    both = "several lenses are called so; give one of: Apo 70 0043, Apo 70 0042"
+    with pytest.raises(DataError, match=both):
+        history_of(entries, "apo")
+    with pytest.raises(DataError, match="no lens with results is called so"):
+        history_of(entries, "Planar")
+    with pytest.raises(DataError, match="--channel G: sessions of Apo 70 0042 have R, B"):
+        history_of(entries, "0042", "G")
+
+
+def test_the_commands_answer_programs(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def answer(*words: str) -> Any:
+        assert run([*words, "--json"]) == 0
+        return json.loads(capsys.readouterr().out)
+
+    listed = answer("list", str(folder))
+    assert listed["sessions"][0]["numbers"]["best_focus_mm.R"]["std"] == 0.42
+    assert answer("history", "--lens", "0042", str(folder))["sessions"][1]["waves.8"]
+    pair = ("compare", str(folder / "night-1"), str(folder / "night-2"))
+    (compared,) = answer(*pair)["pairs"]
+    assert compared["p_value"] == pytest.approx(1)
+    assert {one["name"] for one in compared["differences"]} >= {"waves.R.5", "waves.B.8"}
+    assert answer("catalogue", "rebuild", str(folder)) == {
+        "schema": 1,
+        "results": 2,
+        "left_out": 0,
+    }
+
+
+def test_pictures_are_written_on_request(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = folder / "pictures"
+    sessions = [str(folder / name) for name in ("night-1", "night-2")]
+    assert run(["compare", *sessions, "--out", str(out)]) == 0
+    history = ["history", "--lens", "0042", str(folder), "--out", str(out / "h.svg")]
+    assert run(history) == 0
+    assert sorted(path.name for path in out.iterdir()) == ["h.svg", "night-1-night-2.svg"]
+    assert "2 sessions" in capsys.readouterr().out
+
+
+def test_one_session_is_nothing_to_compare(folder: Path) -> None:
+    with pytest.raises(DataError, match="give two sessions or more to compare"):
+        compare_sessions(folder / "night-1")
