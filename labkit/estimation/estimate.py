@@ -121,6 +121,5 @@ def reading_of(observation: Observation) -> Reading:
 
 def observed(observation: Observation, found: Found | None) -> Observed:
     """Return an observation with its candidates for the selection: optima that determine all modes."""
-    optima = () if found is None else found.optima
-    usable = [optimum for optimum in optima if not optimum.verdict.undetermined]
-    return Observed(reading_of(observation), tuple(optimum.candidate for optimum in usable))
+    optima = found.determined if found else []
+    return Observed(reading_of(observation), tuple(one.candidate for one in optima))

@@ -131,6 +131,11 @@ class Found:
         return self.optima[0]
 
     @property
+    def determined(self) -> list[Optimum]:
+        """Optima that determine all modes: the candidates of the session's selection."""
+        return [one for one in self.optima if not one.verdict.undetermined]
+
+    @property
     def settled(self) -> bool:
         """Whether enough starts returned to the best optimum."""
         return self.returns >= SETTINGS.enough_returns
@@ -328,7 +333,7 @@ class _Search:
 
     def _lit(self, waves: Floats) -> State:
         """Return the state of a wavefront at known poses, its light fitted frame by frame."""
-        poses, frames = self.guesses.poses, self.views.frames
+        poses = self.guesses.poses
         start = replace(
             self.first,
             waves=waves,
@@ -336,16 +341,7 @@ class _Search:
             scales=np.ones(len(poses)),
             ambients=np.zeros(len(poses)),
         )
-        levels = []
-        for frame, image in zip(frames, self.whole.relative(start), strict=True):
-            light = frame.illumination[frame.used]
-            levels.append(
-                np.linalg.lstsq(
-                    np.stack([light * image, light], axis=1), frame.counts[frame.used]
-                )[0]
-            )
-        scales, ambients = np.array(levels).T
-        return replace(start, scales=scales, ambients=ambients)
+        return starts.fitted_light(self.whole, start)[1]
 
     def _all_frames(self, state: State) -> State:
         """Extend a state of the first frame to all frames: same light and wavefront, poses corrected as the first frame's."""

@@ -350,8 +350,8 @@ class _Loop:
         if selection is None or row is None or selection.choice[row] == OUT:
             return found.best.canonical()
         place, twin = divmod(int(selection.choice[row]), 2)
-        usable = [one for one in found.optima if not one.verdict.undetermined]
-        return usable[place].twin() if twin else usable[place]
+        optimum = found.determined[place]
+        return optimum.twin() if twin else optimum
 
     # camera parts and groups of modes
 

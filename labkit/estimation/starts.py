@@ -176,24 +176,29 @@ def sweep(sketches: Sketches, start: State) -> list[State]:
     return [state for _, state in sorted(swept, key=lambda entry: entry[0])]
 
 
-def fitted_light(problem: Problem, state: State, drawing: Drawing) -> tuple[float, State]:
-    """Return the least sum of squares of the first frame over its light, and the state with that light if it is positive.
+def fitted_light(
+    problem: Problem, state: State, drawing: Drawing | None = None
+) -> tuple[float, State]:
+    """Return the least sum of squares over the light of each frame, and the state with this light if all of it is positive.
 
     Parameters
     ----------
-    problem : the frame and its model
-    state : pose and wavefront
-    drawing : the target at the state's pose
+    problem : the frames and their model
+    state : poses and wavefront
+    drawing : the target at the state's poses, if at hand
     """
-    frame = problem.frames[0]
-    light, counts = frame.illumination[frame.used], frame.counts[frame.used]
-    (relative,) = problem.relative(state, drawing)
-    columns = np.stack([light * relative, light], axis=1)
-    levels = np.asarray(np.linalg.lstsq(columns, counts)[0], np.float64)
-    misfit = float(np.sum((columns @ levels - counts) ** 2))
-    if levels[0] <= 0:
+    misfit, levels = 0.0, list[Floats]()
+    relative = problem.relative(state, drawing)
+    for frame, image in zip(problem.frames, relative, strict=True):
+        light, counts = frame.illumination[frame.used], frame.counts[frame.used]
+        columns = np.stack([light * image, light], axis=1)
+        level = np.asarray(np.linalg.lstsq(columns, counts)[0], np.float64)
+        misfit += float(np.sum((columns @ level - counts) ** 2))
+        levels.append(level)
+    scales, ambients = np.array(levels).T
+    if scales.min() <= 0:
         return misfit, state
-    return misfit, replace(state, scales=levels[:1], ambients=levels[1:])
+    return misfit, replace(state, scales=scales, ambients=ambients)
 
 
 def at_known_modes(sketches: Sketches, state: State, log: Log) -> Iterator[State]:
