@@ -262,6 +262,8 @@ class CameraChoice:
                 yield parts - {name}
         for name in TESTED_IN_PLACE.keys() & parts:
             yield (parts - {name}) | {TESTED_IN_PLACE[name]}
+        # their likelihood is no parabola near zero: a fit without them decides in place of a Wald test
+        yield from (parts - {name} for name in parts & set(TESTED_IN_PLACE.values()))
         least = _least_gain(fits)
         net = {
             name: test.gain - cost(extended(parts, name)) + cost(parts)

@@ -17,6 +17,7 @@ from labkit.estimation.observation import Observation
 from labkit.estimation.searches import Searches
 from labkit.estimation.select import OUT, Selection, lens_of, poor_model, select
 from labkit.estimation.settings import SETTINGS
+from labkit.estimation.starts import near_focus
 from labkit.estimation.stated import Stated, nominal_f_number, optics_of, wanted_parts
 from labkit.estimation.strong import StrongSearch
 from labkit.execute import Run
@@ -117,11 +118,19 @@ class _Loop:
     # the loop
 
     def explore(self) -> None:
-        """Fit until every observation has the predicted optimum, or was climbed from the prediction."""
-        while guesses := self._next():
-            self._fit(guesses)
-            self._search_together()
-            self._choose_parts()
+        """Fit until every observation has the predicted optimum, or was climbed from the prediction.
+
+        Camera parts and modes are chosen once no fit can gain, since a wrong optimum calls for parts that are not there. If the
+        anchors call for parts, the other fits have these from the start.
+        """
+        choosing = True
+        while choosing:
+            while guesses := self._next():
+                self._fit(guesses)
+                self._search_together()
+                if len(self.found) == len(self.anchors) < len(self.observations):
+                    self._choose_parts(self._telling_anchors())
+            choosing = self._choose_parts(list(self.found))
 
     def _next(self) -> dict[int, Guesses]:
         """Return the next fits by observation; none once no fit can gain."""
@@ -355,30 +364,32 @@ class _Loop:
 
     # camera parts and groups of modes
 
-    def _choose_parts(self) -> None:
-        """Adopt the camera parts and the modes that the fits show: after the anchors, and after all fits."""
-        if (
-            len(self.found) not in (len(self.anchors), len(self.observations))
-            or not self.found
-        ):
-            return
-        fits = {k: self.chosen(k) for k in self.found}
-        if len(self.found) < len(self.observations):
-            explained = {k: fit for k, fit in fits.items() if fit.verdict.accepted}
-            fits = explained or fits
+    def _telling_anchors(self) -> list[int]:
+        """Return the anchors that tell what the camera has: all if none is explained, else the explained ones far from focus.
+
+        Near focus a wrong optimum may be explained by chance.
+        """
+        best = {k: found.best for k, found in self.found.items()}
+        explained = [k for k, one in best.items() if one.verdict.accepted]
+        far = [k for k in explained if not near_focus(best[k].optics, best[k].waves)]
+        return far if explained else list(best)
+
+    def _choose_parts(self, places: Sequence[int]) -> bool:
+        """Adopt the camera parts and the modes that some fits show. Return whether the choice changed."""
+        fits = {k: self.chosen(k) for k in places}
         asked = {k: fit.log_likelihood for k, fit in fits.items()}
-        if asked == self._parts_chosen_by:
-            return
+        if not fits or asked == self._parts_chosen_by:
+            return False
         self._parts_chosen_by = asked
         parts = self.camera.chosen(fits, self.parts)
-        if parts != self.parts:
-            refitted = dict(self.refits.made[parts])
-            self.parts = parts
-            rest = [k for k in self.found if k not in refitted]
-            refitted |= self._with_parts(rest, parts)
-            self.found = {
-                k: replace(self.found[k], optima=(refitted[k],)) for k in refitted
-            }
+        if parts == self.parts:
+            return False
+        refitted = dict(self.refits.made[parts])
+        self.parts = parts
+        rest = [k for k in self.found if k not in refitted]
+        refitted |= self._with_parts(rest, parts)
+        self.found = {k: replace(self.found[k], optima=(refitted[k],)) for k in refitted}
+        return True
 
     def _with_parts(self, places: Sequence[int], parts: Parts) -> dict[int, Optimum]:
         """Refit from the present optima, with other camera parts and modes."""

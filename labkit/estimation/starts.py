@@ -60,14 +60,6 @@ class Sketches:
             max(SETTINGS.sketch_band, 0.75 / self.optics.pitch_um * self.optics.airy_um),
         )
 
-    def near(self, state: State) -> bool:
-        """Whether defocus is so small that other modes decide what a picture looks like."""
-        defocus = state.waves[0] if self.optics.noll[0] == DEFOCUS else 0.0
-        return bool(
-            abs(defocus) * self.optics.reference_um
-            <= SETTINGS.near_waves * self.optics.wavelength_um
-        )
-
     @property
     def wide(self) -> Problem:
         """The sketch for wavefronts of any defocus."""
@@ -75,7 +67,11 @@ class Sketches:
 
     def problem(self, state: State, band: float | None = None) -> Problem:
         """Return a problem for wavefronts similar to a state's. band: share of the pass band, None for a sketch's."""
-        window_airy = SETTINGS.near_window_airy if self.near(state) else WINDOW_AIRY
+        window_airy = (
+            SETTINGS.near_window_airy
+            if near_focus(self.optics, state.waves)
+            else WINDOW_AIRY
+        )
         return self._problem(self.band if band is None else band, window_airy)
 
     def _problem(self, band: float, window_airy: float) -> Problem:
@@ -92,6 +88,20 @@ class Sketches:
             )
             self._made[key] = Problem(model, (self.frame,), self.noise)
         return self._made[key]
+
+
+def near_focus(optics: Optics, waves: Floats) -> bool:
+    """Return whether defocus is so small that other modes decide what a picture looks like.
+
+    Parameters
+    ----------
+    optics : lens and light
+    waves : (modes,) waves RMS at the reference wavelength
+    """
+    defocus = waves[0] if optics.noll[0] == DEFOCUS else 0.0
+    return bool(
+        abs(defocus) * optics.reference_um <= SETTINGS.near_waves * optics.wavelength_um
+    )
 
 
 @dataclass
@@ -226,13 +236,15 @@ def swept(
     """
     log.progress("defocus sweep")
     given = sweep(sketches, first)[: SETTINGS.tried]
-    near = sketches.near(given[0])
+    near = near_focus(sketches.optics, given[0].waves)
     end = searched_from(sketches.problem(given[0]), given[0])
     log.starts += 1
     plausible = _excess(sketches, end.state) < SETTINGS.plausible_share * _excess(
         sketches, given[0]
     )
-    believed = plausible and not (doubt_near_focus and sketches.near(end.state))
+    believed = plausible and not (
+        doubt_near_focus and near_focus(sketches.optics, end.state.waves)
+    )
     if believed:
         yield end.state
     if near and not log.over:
@@ -248,7 +260,7 @@ def swept(
         yield best
     if log.over:
         return
-    if not sketches.near(best):
+    if not near_focus(sketches.optics, best.waves):
         yield from at_random(sketches, best, log)
     elif not near:
         yield from retrieved(sketches, best, [], log)

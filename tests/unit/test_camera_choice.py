@@ -234,6 +234,18 @@ def test_a_cats_eye_takes_the_place_of_an_uneven_rim_that_explains_less() -> Non
     assert Fits(heights, {"uneven_rim": 60.0}).chosen()[0] == {"uneven_rim"}
 
 
+def test_a_cats_eye_that_a_fit_does_not_need_is_taken_out_whatever_its_numbers() -> None:
+    """The first fits without it were wrong; refits from the optima that it led to are as likely without it."""
+    fits = Fits({("uneven_rim",): 100.0, ("cats_eye",): 150.0}, {"uneven_rim": 60.0})
+
+    def refit(places: Sequence[int], parts: Parts) -> dict[int, Optimum]:
+        fits.heights = {**fits.heights, (): 149.0}
+        return fits.refit(places, parts)
+
+    ends = {k: fits.end(Parts()) for k in range(FITS)}
+    assert CameraChoice(refit, Parts(), ["G"] * FITS).chosen(ends, Parts()) == set()
+
+
 @pytest.mark.parametrize(
     ("together", "taken"), [(103.5, {"low_pass_filter", "diffusion"}), (103.0, {"smear"})]
 )

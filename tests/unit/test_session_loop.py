@@ -11,6 +11,7 @@ import pytest
 
 from labkit.errors import FitError
 from labkit.estimation.local import Found
+from labkit.estimation.scores import ScoreTest
 from labkit.estimation.searches import Task
 from labkit.estimation.session import estimate
 from labkit.estimation.settings import SETTINGS
@@ -142,6 +143,66 @@ def test_a_wrong_optimum_is_fitted_again_from_the_prediction_and_then_belongs(
     np.testing.assert_allclose(session.fits[refitted].optimum.waves, truth)
     assert session.outliers == ()
     assert len(session.members) == len(session.fits)
+
+
+SMEARED = {"smear": ScoreTest(np.full(3, 15.0), np.eye(3))}
+"""A score test that promises a log-likelihood of 340 for a smear."""
+
+
+def test_a_wrong_optimum_calls_for_no_part_before_it_is_fitted_again() -> None:
+    """At 2900 mm, unexplained; with a smear it would gain all that it lacks."""
+
+    def ends(task: Task) -> Found:
+        wrong = range_of(task) == RANGES_MM[0] and not task.guesses.starts
+        smeared = any(part.name == "smear" for part in task.optics.parts)
+        return Found(
+            (
+                optimum(
+                    task.optics,
+                    range_of(task),
+                    off=(0.1, -0.2) if wrong else (0.0, 0.0),
+                    height=-500.0 * (wrong and not smeared),
+                    explained=smeared or not wrong,
+                    unexplained=500.0 * (wrong and not smeared),
+                    scores=SMEARED if wrong and not smeared else {},
+                ),
+            )
+        )
+
+    play = Play(ends)
+    session = played(play)
+    assert not any(task.optics.parts for batch in play.batches for task in batch)
+    assert all(fit.optimum.verdict.accepted for fit in session.fits)
+    assert session.outliers == ()
+
+
+@pytest.mark.parametrize(("range_mm", "early"), [(3200.0, True), (2900.0, False)])
+def test_the_other_fits_have_a_part_from_the_start_if_an_anchor_far_from_focus_shows_it(
+    range_mm: float, early: bool
+) -> None:
+    """Of the anchors that at 3200 mm is 1.07 waves from focus, that at 2900 mm 0.59; both are explained."""
+
+    def ends(task: Task) -> Found:
+        smeared = any(part.name == "smear" for part in task.optics.parts)
+        shown = range_of(task) == range_mm and not smeared
+        scores = SMEARED if shown else {"smear": ScoreTest(np.zeros(3), np.eye(3))}
+        height = -340.0 * shown
+        return Found(
+            (
+                optimum(
+                    task.optics,
+                    range_of(task),
+                    square=0.5,
+                    height=height,
+                    scores={} if smeared else scores,
+                ),
+            )
+        )
+
+    play = Play(ends)
+    played(play)
+    firsts = [task for batch in play.batches for task in batch if range_of(task) == NEAR]
+    assert bool(firsts[0].optics.parts) is early
 
 
 def test_a_fit_that_began_from_the_prediction_and_ended_elsewhere_does_not_belong() -> None:
