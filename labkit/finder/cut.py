@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from labkit.imaging.warp import Pose
 from labkit.photographs.photograph import Cut
@@ -35,13 +36,18 @@ def cut_around(corners: Sequence[Floats], shape: tuple[int, ...]) -> Cut:
     return slice(int(low[0]), int(high[0])), slice(int(low[1]), int(high[1]))
 
 
+def outline(corners: Floats, shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    """Return an image (rows, columns) that is 1 within corners (4, 2), row and column, and 0 elsewhere."""
+    polygon = np.zeros(shape, np.uint8)
+    cv2.fillConvexPoly(polygon, np.round(corners[:, ::-1]).astype(np.int32), 1)
+    return polygon
+
+
 def sees_target_only(pose: Pose, shape: tuple[int, ...]) -> Bools:
     """Return the pixels that see nothing but the target."""
     corners = pose.corners_px()
-    polygon = np.zeros(shape, np.uint8)
-    cv2.fillConvexPoly(polygon, np.round(corners[:, ::-1]).astype(np.int32), 1)
     inset = int(np.ceil(max(INSET_PX, INSET * np.ptp(corners, axis=0).max())))
-    framed = cv2.copyMakeBorder(polygon, 1, 1, 1, 1, cv2.BORDER_REPLICATE)
+    framed = cv2.copyMakeBorder(outline(corners, shape), 1, 1, 1, 1, cv2.BORDER_REPLICATE)
     eroded = cv2.erode(
         framed,
         np.ones((2 * inset + 1, 2 * inset + 1), np.uint8),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from labkit.finder.cut import MARGIN, MARGIN_PX
+from labkit.finder.cut import MARGIN, MARGIN_PX, outline
 from labkit.imaging.warp import Pose
 from labkit.types import Bools, Floats
 
@@ -28,8 +28,7 @@ def surround_level(light: Floats, used: Bools, pose: Pose) -> float | None:
     target has no contrast
     """
     corners = pose.corners_px()
-    inside = np.zeros(light.shape, np.uint8)
-    cv2.fillConvexPoly(inside, np.round(corners[:, ::-1]).astype(np.int32), 1)
+    inside = outline(corners, light.shape)
     # half of the margin that is kept: the blur of the target's edge is left out
     gap = round(max(MARGIN_PX, MARGIN * np.ptp(corners, axis=0).max()) / 2)
     near = cv2.dilate(inside, np.ones((2 * gap + 1, 2 * gap + 1), np.uint8))
