@@ -4,9 +4,11 @@ import os
 import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
+from xdist.scheduler import LoadFileScheduling
 
 from tests import dng
 
@@ -23,6 +25,32 @@ def pytest_configure() -> None:
     signal.signal(signal.SIGINT, signal.default_int_handler)
     for number in (signal.SIGQUIT, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
+
+
+LONGEST = "tests/system/test_golden.py"
+"""The file whose tests begin first. Each of its sessions may go to another process: nothing else is shared there."""
+
+TWO_WORKERS = ("tests/system/test_plain_session.py", "tests/system/test_refit.py")
+"""Files with fits in two processes; one process of the tests runs them, one after the other."""
+
+
+class Scheduling(LoadFileScheduling):  # type: ignore[misc]
+    """A file stays with one process, but for the exceptions above."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        file = nodeid.partition("::")[0]
+        if file in TWO_WORKERS:
+            return "two workers"
+        return file + nodeid.partition("[")[2] if file == LONGEST else file
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Scheduling | None:
+    return Scheduling(config, log) if config.getvalue("dist") == "loadfile" else None
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    items.sort(key=lambda item: not item.nodeid.startswith(LONGEST))
 
 
 @pytest.fixture(scope="session", autouse=True)

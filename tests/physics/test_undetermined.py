@@ -34,7 +34,7 @@ def test_frames_that_tell_no_wavefront_are_rejected_in_words(
 ) -> None:
     views = Views((parts(trial)[part],), (trial.pose,), trial.noise)
     best = find_optima(
-        optics(NOLL), carpet(), views, Guesses(alone=False, most_starts=4)
+        optics(NOLL), carpet(), views, Guesses(alone=False, most_starts=2)
     ).best
     assert not best.verdict.accepted
     assert any("defocus" in words for words in best.verdict.undetermined)

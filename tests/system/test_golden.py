@@ -144,7 +144,17 @@ def test_a_point_spread_function_is_of_all_the_light_that_the_plan_states(
         assert text.count(line) == 1
         text = text.replace(line, f"{line}\n{more}")
     plan.write_text(text)
-    options = ["--range", "2160", "--channel", "G", "--name", "broad", "--quiet"]
+    options = [
+        "--range",
+        "2160",
+        "--channel",
+        "G",
+        "--name",
+        "broad",
+        "--quiet",
+        "--workers",
+        "1",
+    ]
     assert run(["fit", str(session), "--plan", str(plan), *options]) == 0
     (error,) = golden.psf_errors(session / "results/broad").values()
     assert error < limit(golden.claim, "psf_l1_stated")

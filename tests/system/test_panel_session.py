@@ -85,7 +85,7 @@ def test_the_bench_is_measured_though_its_panels_pixels_are_seen(
     bench: Bench, photographed: Session
 ) -> None:
     plan = photographed.plan.replace(target={"pixels": {"layout": "rgb-stripes"}})
-    results = labkit.fit(photographed, plan=plan, name="stripes")
+    results = labkit.fit(photographed, plan=plan, name="stripes", workers=1)
     panel, focus = bench.settings.panel, results.focus
     assert (
         abs(results.model_parts["panel_pixels.lit_across"].value - panel.lit_across) < LIT
@@ -103,7 +103,7 @@ def test_the_bench_is_measured_though_its_panels_pixels_are_seen(
 
 def test_a_plan_without_the_panels_pixels_is_told_of_them(photographed: Session) -> None:
     with pytest.raises(DataError) as told:
-        labkit.fit(photographed, name="without")
+        labkit.fit(photographed, name="without", workers=1)
     assert 'add pixels = { pitch_mm = 0.1, layout = "rgb-stripes" } to [target]' in str(
         told.value
     )
@@ -120,6 +120,7 @@ def test_other_stripes_than_the_photographs_show_are_refused(photographed: Sessi
                 photographed,
                 plan=photographed.plan.replace(target={"pixels": pixels}),
                 name="wrong",
+                workers=1,
             )
 
 
@@ -137,7 +138,18 @@ def test_an_independent_session_before_a_panel_is_right(tmp_path: Path) -> None:
     assert (
         run(["import", str(golden / "frames.csv"), str(plan), str(session), "--quiet"]) == 0
     )
-    some = ["--channel", "G", "--range", "640", "--range", "676", "--name", "some"]
+    some = [
+        "--channel",
+        "G",
+        "--range",
+        "640",
+        "--range",
+        "676",
+        "--name",
+        "some",
+        "--workers",
+        "1",
+    ]
     assert run(["fit", str(session), *some, "--quiet"]) == 0
     measured: dict[str, Any] = json.loads(
         (session / "results/some/results.json").read_text()

@@ -51,7 +51,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_moment_is_named_and_both_halves_are_fitted(session: Path) -> None:
-    assert run(["fit", str(session), "--split", "--quiet"]) == 0
+    assert run(["fit", str(session), "--split", "--quiet", "--workers", "1"]) == 0
     whole, before, after = (
         labkit.Results.load(session, f"latest{end}") for end in ("", "-before", "-after")
     )
