@@ -5,7 +5,8 @@ PYTHON ?= $(firstword $(shell for p in python3 python3.13 python3.12 python3.11 
 	$$p -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p; done; true))
 BIN := .venv/bin
 # A process has one thread; more only get in each other's way. A file stays with one process, which makes what its tests share
-# once; the longest files come first (testpaths). Tests of devices wait most of their time: three processes keep two cores busy.
+# once; golden sessions come first, each where there is room (tests/conftest.py). Tests of devices wait most of their time:
+# three processes keep two cores busy.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 PROCESSES := $(shell expr 3 \* $$(getconf _NPROCESSORS_ONLN) / 2)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +18,11 @@ from labkit.types import Floats
 
 @pytest.fixture(scope="module")
 def smeared(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Truth]:
-    """By 0.36 pixels, five ranges, and its truth."""
-    folder = tmp_path_factory.mktemp("smeared") / "session"
-    return folder, make(draw_with_parts(1, 6), folder)
+    """By 0.36 pixels, three ranges of the five that were drawn, and its truth."""
+    folder, drawn = tmp_path_factory.mktemp("smeared") / "session", draw_with_parts(1, 6)
+    assert drawn.plan.rail is not None
+    three = drawn.plan.replace(rail={"ranges_mm": drawn.plan.rail.ranges_mm[::2]})
+    return folder, make(replace(drawn, plan=three), folder)
 
 
 @pytest.fixture(scope="module")
@@ -51,8 +54,8 @@ def test_errors_of_a_plain_fit_hold_what_the_missing_part_would_move(
     found = compared(
         json.loads((folder / "results/latest/results.json").read_text()), truth
     )
-    # without the part's share in the errors: defocus 4.1 and 4.8 of them off, the other modes 3.3, RMS
-    assert np.abs(found["z"]["noll.4"]).max() < 1.8  # 0.9 measured
+    # without the part's share in the errors, at five ranges: defocus 4.1 and 4.8 of them off, the other modes 3.3, RMS
+    assert np.abs(found["z"]["noll.4"]).max() < 0.7  # 0.35 measured
     others = np.concatenate(
         [
             z
@@ -60,7 +63,7 @@ def test_errors_of_a_plain_fit_hold_what_the_missing_part_would_move(
             if name.startswith("noll") and name != "noll.4"
         ]
     )
-    assert np.sqrt(np.mean(others**2)) < 1.7  # 0.9 measured
+    assert np.sqrt(np.mean(others**2)) < 1.4  # 0.7 measured
 
 
 @pytest.mark.slow
@@ -101,7 +104,7 @@ def test_a_climb_over_all_frames_at_once_finds_no_more_where_a_part_was_fitted(
     whole: labkit.Results,
 ) -> None:
     assert len(whole.joint) > 20
-    assert max(whole.joint.values()) < 0.0005  # standard errors: 0.00025 measured
+    assert max(whole.joint.values()) < 0.0005  # standard errors: 0.0004 measured
 
 
 @pytest.mark.slow
@@ -116,7 +119,7 @@ def test_results_are_the_same_bit_for_bit_with_any_number_of_workers(
         for wavefront in results["wavefronts"]:
             del wavefront["seconds"]
         written.append(results)
-    assert len(written[0]["wavefronts"]) == 5
+    assert len(written[0]["wavefronts"]) == 3
     assert written[0] == written[1]
 
 
