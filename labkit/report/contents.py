@@ -10,10 +10,8 @@ import numpy as np
 
 from labkit.figure_style import channel_inks
 from labkit.optics.wavefront import DEFOCUS
-from labkit.plan import Plan
-from labkit.plan.tables import Lens
 from labkit.report.camera_table import light_table, missing_words, part_table, tried_table
-from labkit.report.curves import MTF_DIRECTIONS, ChannelFocus, Curves
+from labkit.report.curves import MTF_DIRECTIONS, ChannelFocus, Curves, full_nyquist_per_mm
 from labkit.report.fit_tables import fit_table, method_table, residual_table
 from labkit.report.lens_tables import (
     SOURCES,
@@ -29,12 +27,9 @@ from labkit.report.photographs import Photographs, off_centre, photograph_table,
 from labkit.report.table import (
     NO_ERROR,
     PLUS_MINUS,
-    UNKNOWN,
-    Table,
     estimated,
     fixed,
     millimetres,
-    when,
 )
 from labkit.results import ColourShift, Results, Wavefront
 from labkit.results.tables import NOT_FITTED
@@ -61,62 +56,42 @@ def contents(
     results: Results, curves: Sequence[Curves], photographs: Photographs, drawn: set[str]
 ) -> dict[str, Any]:
     """Return the values of the template. drawn: sections with figures."""
-    m = results
-    plan = results.plan
-    focus = results.focus
     focused = [c.focus for c in curves]
-    reference_nm = m.reference_wavelength_nm
-    tables = _tables(m, curves, photographs)
+    lens = lens_table(results)
     shown = set(SECTIONS) - OPTIONAL_SECTIONS | (drawn & OPTIONAL_SECTIONS)
-    shown |= ({"lens"} if tables["lens_table"] or focus else set()) | (
-        {"camera"} if m.parts_tried else set()
-    )
-    sections = [(name, label) for name, label in SECTIONS.items() if name in shown]
-    if m.warnings:
-        sections.insert(0, ("warnings", f"Warnings ({len(m.warnings)})"))
+    shown |= {"lens"} if lens or results.focus else set()
+    shown |= {"camera"} if results.parts_tried else set()
     return {
-        "m": m,
-        "inks": channel_inks(m.channels),
-        "sections": sections,
-        "title": plan.about.title or session_name(m),
-        "session": session_name(m) if plan.about.title else "",
-        "lens_line": _lens_line(plan.lens),
-        "about": plan.about,
-        "lede": _lede(m, plan, photographs),
-        "reference": f"{reference_nm:g} nm",
-        "cards": answer(m, focused, photographs),
-        "magnification": estimated(focus.pupil_magnification) if focus else "",
-        "missing": missing_words(m),
+        "m": results,
+        "plan": results.plan,
+        "curves": curves,
+        "photographs": photographs,
+        "inks": channel_inks(results.channels),
+        "sections": {name: label for name, label in SECTIONS.items() if name in shown},
+        "session": session_name(results),
+        "folder": results.folder and str(results.folder.resolve()),
+        "nyquist": full_nyquist_per_mm(results.plan.sensor),
+        "cards": answer(results, focused, photographs),
+        "missing": missing_words(results),
         "sources": SOURCES,
-        "checks": _checks(m),
-        "provenance": _provenance(m, plan),
-    } | tables
-
-
-def _tables(
-    m: Results, curves: Sequence[Curves], photographs: Photographs
-) -> dict[str, Table | None]:
-    """Every table, by its name in the template."""
-    focused = [c.focus for c in curves]
-    reference_nm = m.reference_wavelength_nm
-    return {
-        "focus_table": focus_table(focused, reference_nm),
-        "depth_table": depth_table(curves, m),
-        "path_table": path_table(m),
-        "bare_path_table": path_table(m, (DEFOCUS,)),
+        "checks": _checks(results),
+        "lens_table": lens,
+        "focus_table": focus_table(focused, results.reference_wavelength_nm),
+        "depth_table": depth_table(curves, results),
+        "path_table": path_table(results),
+        "bare_path_table": path_table(results, (DEFOCUS,)),
         "mode_table": mode_table(focused, "waves RMS"),
-        "nm_table": mode_table(focused, "nm RMS", reference_nm),
-        "difference_table": difference_table(m, focused),
-        "lens_table": lens_table(m),
-        "part_table": part_table(m),
-        "light_table": light_table(m, focused),
-        "tried_table": tried_table(m),
-        "budget_table": budget_table(m),
+        "nm_table": mode_table(focused, "nm RMS", results.reference_wavelength_nm),
+        "difference_table": difference_table(results, focused),
+        "part_table": part_table(results),
+        "light_table": light_table(results, focused),
+        "tried_table": tried_table(results),
+        "budget_table": budget_table(results),
         "photograph_table": photograph_table(photographs),
-        "place_table": place_table(m, photographs),
-        "fit_table": fit_table(m),
-        "method_table": method_table(m),
-        "residual_table": residual_table(m, m.focus) if m.focus else None,
+        "place_table": place_table(results, photographs),
+        "fit_table": fit_table(results),
+        "method_table": method_table(results),
+        "residual_table": residual_table(results),
     }
 
 
@@ -129,25 +104,6 @@ def session_name(m: Results) -> str:
         return session.name
     name = session.parent.parent.name
     return name if session.name == "latest" else f"{name}, {session.name}"
-
-
-def _lens_line(lens: Lens) -> str:
-    """Return the lens and its serial number as the plan states them; empty where it does not."""
-    serial = lens.serial and f"serial number {lens.serial}"
-    return ", ".join(filter(None, (lens.name, serial)))
-
-
-def _lede(m: Results, plan: Plan, photographs: Photographs) -> str:
-    ranges = [r for r in m.ranges_mm if r is not None]
-    if len(ranges) > 6:
-        where = f"{len(ranges)} ranges from {ranges[0]:g} to {ranges[-1]:g} mm"
-    elif ranges:
-        where = f"range{'s' if len(ranges) > 1 else ''} {', '.join(format(r, 'g') for r in ranges)} mm"
-    else:
-        where = "range not known"
-    lens = f"{plan.lens.focal_length_mm:g} mm f/{plan.lens.f_number:g}"
-    taken = photographs.taken or f"estimated {when(m.created)}"
-    return " · ".join(filter(None, (lens, photographs.camera, where, taken)))
 
 
 def _checks(m: Results) -> list[dict[str, Any]]:
@@ -200,66 +156,6 @@ def _names(wavefronts: Sequence[Wavefront]) -> str:
 
 
 CHI2_USUAL = (0.9, 1.5)
-
-
-def _provenance(m: Results, plan: Plan) -> list[tuple[str, str]]:
-    sensor = plan.sensor
-    target = plan.target
-    conventions = {
-        "corrected": "corrected: the sagitta is taken about the exit pupil",
-        "thesis": "thesis: equation (4.40) as it is printed",
-    }
-    order = "" if target.order is None else f" of order {target.order}"
-    return [
-        ("labkit", m.labkit_version),
-        ("Results made", when(m.created)),
-        ("Results folder", UNKNOWN if m.folder is None else str(m.folder.resolve())),
-        ("Plan, SHA-256", m.plan_sha256),
-        (
-            "Lens",
-            f"focal length {plan.lens.focal_length_mm:g} mm, f/{plan.lens.f_number:g}, as the plan states it",
-        ),
-        (
-            "Sensor",
-            f"{sensor.pixel_pitch_um:g} µm pitch, fill factor {sensor.fill_factor:g}",
-        ),
-        (
-            "Target",
-            f"{target.kind}{order}, {target.size_mm:g} mm, {target.surround} around it",
-        ),
-        ("Reference wavelength", f"{m.reference_wavelength_nm:g} nm"),
-        ("Focus convention", conventions.get(plan.fit.convention, plan.fit.convention)),
-        (
-            "Zernike modes",
-            "Noll's order, unit RMS over the pupil; piston, tip and tilt belong to the pose",
-        ),
-        (
-            "Pupil axes",
-            "x to the right along the sensor's rows, y down its columns; angles run from x towards y",
-        ),
-        (
-            "Best focus",
-            "zero Noll defocus, of least RMS in a round clear pupil; no depth of field or through-focus curve enters it",
-        ),
-        (
-            "Signs",
-            "optical path difference; positive defocus: the target lies beyond best focus. A wavefront and its twin, "
-            "turned by half a turn and negated, give the same image: the common sign of all modes of even order is "
-            "chosen, so that defocus grows with range where there are several",
-        ),
-        ("Standard errors", _origin_of_errors(m)),
-    ]
-
-
-def _origin_of_errors(m: Results) -> str:
-    fits = "from the inverse Fisher information of the identifiable parameters"
-    ends = (
-        "What is derived from a wavefront has them by the delta method; in lengths and frequencies that of the f-number is "
-        "added as if it were independent, which makes them rather too large"
-    )
-    if m.lens is None:
-        return f"{fits}. {ends}"
-    return f"{fits} of each fit, and all that the plan states with an error, through one estimate of the whole session. {ends}"
 
 
 @dataclass(frozen=True, slots=True)

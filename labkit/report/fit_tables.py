@@ -7,8 +7,17 @@ from math import isfinite
 
 import numpy as np
 
-from labkit.report.table import UNKNOWN, Column, Row, Table, estimated, fixed, plus_minus
-from labkit.results import Focus, OptimumTest, Results, Wavefront
+from labkit.report.table import (
+    UNKNOWN,
+    Column,
+    Row,
+    Table,
+    bare,
+    estimated,
+    fixed,
+    plus_minus,
+)
+from labkit.results import OptimumTest, Results, Wavefront
 from labkit.results.verdicts import confirmed, model_word, optimum_word, stated
 from labkit.uncertain import Uncertain
 
@@ -45,7 +54,14 @@ def _fit_cells(w: Wavefront, results: Results) -> tuple[str, ...]:
     between = [shown(w.blur, 2)] if results.lens else []
     defocus = "not fitted" if w.defocus is None else shown(w.defocus, 4)
     verdicts = optimum_word(w.test), model_word(w.test)
-    return (_range(w), w.channel, defocus, *between, fixed(w.chi2_per_pixel, 3), *verdicts)
+    return (
+        bare(w.range_mm),
+        w.channel,
+        defocus,
+        *between,
+        fixed(w.chi2_per_pixel, 3),
+        *verdicts,
+    )
 
 
 def method_table(results: Results) -> Table:
@@ -66,7 +82,7 @@ def method_table(results: Results) -> Table:
 def _method_cells(w: Wavefront) -> tuple[str, ...]:
     frames = ", ".join(w.frames) or UNKNOWN
     return (
-        _range(w),
+        bare(w.range_mm),
         w.channel,
         fixed(w.gain, 4),
         fixed(w.read_noise, 2),
@@ -76,8 +92,11 @@ def _method_cells(w: Wavefront) -> tuple[str, ...]:
     )
 
 
-def residual_table(results: Results, focus: Focus) -> Table:
-    """Return the table of each channel's defocus residuals in the focus fit."""
+def residual_table(results: Results) -> Table | None:
+    """Return the table of each channel's defocus residuals in the focus fit; None without a focus fit."""
+    focus = results.focus
+    if focus is None:
+        return None
     columns = (
         Column("channel", text=True),
         Column("best focus", "mm"),
@@ -115,10 +134,6 @@ def _in_order(results: Results) -> list[tuple[bool, Wavefront]]:
         for range_mm in results.ranges_mm
         for k, w in enumerate(results.at_range(range_mm))
     ]
-
-
-def _range(w: Wavefront) -> str:
-    return "none" if w.range_mm is None else f"{w.range_mm:g}"
 
 
 def _test(verdict: OptimumTest | None) -> str:

@@ -24,10 +24,18 @@ from labkit.optics.through_focus import ThroughFocus
 from labkit.optics.zernike import mode_name
 from labkit.report.contents import contents
 from labkit.report.curves import Curves, at_best_focus, curves_of
-from labkit.report.figures import DRAWINGS, draw_figures
+from labkit.report.figures import SECTIONS, Artist, draw_figures
 from labkit.report.photographs import photographs_of
-from labkit.report.pictures import Panel, Plate
-from labkit.report.table import PLUS_MINUS
+from labkit.report.pictures import Plate
+from labkit.report.table import (
+    PLUS_MINUS,
+    bare,
+    estimated,
+    fixed,
+    millimetres,
+    plus_minus,
+    when,
+)
 from labkit.results import Results, Wavefront
 from labkit.types import Progress, no_progress
 
@@ -58,7 +66,7 @@ def write_report(
 
     >>> labkit.write_report("night-3", pdf=True)
     """
-    total = DRAWINGS + 2 + pdf
+    total = len(SECTIONS) + 2 + pdf
     steps = count()
 
     def begin(words: str) -> None:
@@ -101,7 +109,7 @@ def _made(
     photographs = photographs_of(
         results, min((c.focus.photographed for c in curves), key=_defocus)
     )
-    drawn = draw_figures(results, curves, photographs, begin)
+    drawn = draw_figures(Artist(results, curves, photographs), begin)
     begin("writing the page")
     words = contents(results, curves, photographs, set(drawn))
     return drawn, _render(words, drawn, downloads_of(results, curves))
@@ -141,8 +149,7 @@ def _render(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["uri"] = _data_uri
-    environment.filters["css"] = _css_string
+    environment.filters |= FILTERS
     script = (TEMPLATES / "report.js").read_text(encoding="utf-8")
     # the one script that the page may run: nothing that a file's name smuggles in
     allowed = b64encode(sha256(script.encode()).digest()).decode()
@@ -159,9 +166,22 @@ def _css_string(text: str) -> str:
     return f'"{"".join(letters)}"'
 
 
-def _data_uri(panel: Panel) -> str:
-    return f"data:{panel.media_type};base64,{b64encode(panel.content).decode()}"
+def _data_uri(content: bytes, media_type: str) -> str:
+    """Return bytes as a link."""
+    return f"data:{media_type};base64,{b64encode(content).decode()}"
 
+
+FILTERS: dict[str, Callable[..., str]] = {
+    "uri": _data_uri,
+    "css": _css_string,
+    "estimated": estimated,
+    "fixed": fixed,
+    "millimetres": millimetres,
+    "range": bare,
+    "plus_minus": lambda number: plus_minus(number.value, number.std),
+    "when": when,
+}
+"""Filters of the templates."""
 
 Cell = str | int | float | None
 LINE = "\r\n"  # as RFC 4180 has it
@@ -175,11 +195,6 @@ class Download:
     media_type: str
     content: bytes
     what: str
-
-    @property
-    def uri(self) -> str:
-        """Return the content as a link."""
-        return f"data:{self.media_type};base64,{b64encode(self.content).decode()}"
 
 
 def downloads_of(results: Results, curves: Sequence[Curves]) -> list[Download]:

@@ -23,6 +23,7 @@ from labkit.report.table import (
     Column,
     Row,
     Table,
+    bare,
     channel_columns,
     estimated,
     fixed,
@@ -334,7 +335,7 @@ def path_table(results: Results, without: tuple[int, ...] = ()) -> Table:
 
 
 def _path_cells(w: Wavefront, without: tuple[int, ...], *, known: bool) -> tuple[str, ...]:
-    cells = ["none" if w.range_mm is None else f"{w.range_mm:g}", w.channel]
+    cells = [bare(w.range_mm), w.channel]
     for measure, least in ((metrics.rms, 4), (metrics.peak_to_valley, 3)):
         number = stated(measure(w.fitted, without), known=known)
         cells += [
@@ -402,7 +403,7 @@ def _differences(here: Wavefront, other: Wavefront) -> list[Row]:
         if abs(two.value - one.value) < ALIKE:
             continue
         difference = Uncertain(two.value - one.value, float(np.hypot(one.std, two.std)))
-        where = "none" if other.range_mm is None else f"{other.range_mm:g}"
+        where = bare(other.range_mm)
         ratio = difference.value / difference.std if difference.std > 0 else float("nan")
         cells = (
             here.channel,

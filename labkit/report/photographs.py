@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from labkit.errors import LabkitError
-from labkit.report.table import UNKNOWN, Column, Row, Table, fixed, when
+from labkit.report.table import UNKNOWN, Column, Row, Table, bare, fixed, when
 from labkit.results import Results, Wavefront
 from labkit.session.frame import Frame, in_words
 from labkit.session.session import Session
@@ -260,5 +260,5 @@ def place_table(results: Results, photographs: Photographs) -> Table:
             *(fixed(float(x), 1) for x in (*centre, median(np.hypot(*side.T)))),
             fixed(turned, 1),
         )
-        rows.append(Row(("none" if range_mm is None else f"{range_mm:g}", *cells, *away)))
+        rows.append(Row((bare(range_mm), *cells, *away)))
     return Table(columns, tuple(rows))

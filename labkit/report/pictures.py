@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from io import BytesIO
 from math import ceil, floor, log10
 from re import sub
+from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
@@ -32,49 +33,64 @@ MOST_COLOURS = 256
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """One picture: its file's name, its bytes, what it shows in words, and a heading where it bears none itself."""
+    """An encoded figure.
 
-    file: str
+    name: of its file, without the extension; kind: of its text in templates/figures.html.j2;
+    of: the subject of this text; pixels: whether samples are shown as squares
+    """
+
+    name: str
+    kind: str
     content: bytes
-    alt: str
-    heading: str = ""
+    media_type: str = "image/png"
+    of: Any = None
     pixels: bool = False
 
     @property
-    def media_type(self) -> str:
-        """Media type of the bytes."""
-        return "image/svg+xml" if self.file.endswith(".svg") else "image/png"
+    def file(self) -> str:
+        """Name of the file."""
+        stem = sub(r"[^A-Za-z0-9.+_-]", "-", self.name)
+        return f"{stem}.{'svg' if 'svg' in self.media_type else 'png'}"
 
 
 @dataclass(frozen=True, slots=True)
 class Plate:
-    """Panels with one caption; across: how many stand side by side on a wide page."""
+    """Panels with one caption.
 
-    panels: tuple[Panel, ...]
-    caption: str
+    kind: of the caption in templates/figures.html.j2; across: number of panels side by side
+    on a wide page; width_um: width of each panel on the sensor
+    """
+
+    kind: str
+    panels: Sequence[Panel]
     across: int = 2
+    width_um: float = 0.0
 
 
-def drawing(name: str, figure: Figure, alt: str) -> Panel:
-    """A figure made of lines."""
-    return Panel(f"{_safe(name)}.svg", svg(figure), alt)
+def drawing(kind: str, figure: Figure, of: Any = None, key: str = "") -> Panel:
+    """Return a figure made of lines. key: what its file's name has in addition to the kind."""
+    return Panel(_name(kind, key), kind, svg(figure), "image/svg+xml", of)
 
 
-def picture(name: str, figure: Figure, alt: str) -> Panel:
-    """A figure made of pixels; with 256 colours it takes a quarter, and no more can be told apart in it."""
+def picture(kind: str, figure: Figure, of: Any = None, key: str = "") -> Panel:
+    """Return a figure made of pixels, in 256 colours: a quarter of the bytes, and no visible difference."""
     image = Image.open(BytesIO(png(figure))).convert("RGB")
     buffer = BytesIO()
     image.quantize(MOST_COLOURS, dither=Image.Dither.NONE).save(buffer, "PNG")
-    return Panel(f"{_safe(name)}.png", buffer.getvalue(), alt)
+    return Panel(_name(kind, key), kind, buffer.getvalue(), of=of)
 
 
-def chip(name: str, content: bytes, alt: str, heading: str) -> Panel:
-    """A photograph's pixels as they are."""
-    return Panel(f"{_safe(name)}.png", content, alt, heading, pixels=True)
+def chip(fit: Wavefront, residuals: Residuals) -> Panel:
+    """Return data, model and residual of a fit, pixel by pixel."""
+    content, low, high = chip_image(residuals)
+    with np.errstate(invalid="ignore"):
+        rms = np.sqrt(np.nanmean(residuals.normalised**2, axis=(2, 3)))
+    of = {"fit": fit, "shape": residuals.data.shape, "low": low, "high": high, "rms": rms}
+    return Panel(_name("fit", fit.key), "fit", content, of=of, pixels=True)
 
 
-def _safe(name: str) -> str:
-    return sub(r"[^A-Za-z0-9.+_-]", "-", name)
+def _name(kind: str, key: str) -> str:
+    return f"{kind}_{key}" if key else kind
 
 
 RESIDUAL_LIMIT = 4.0  # standard deviations

@@ -84,6 +84,11 @@ def millimetres(range_mm: float | None) -> str:
     return "no range" if range_mm is None else f"{range_mm:g} mm"
 
 
+def bare(range_mm: float | None) -> str:
+    """Return a range without its unit, which is at the head of the column."""
+    return "none" if range_mm is None else f"{range_mm:g}"
+
+
 @dataclass(frozen=True, slots=True)
 class Column:
     """A column of a table.

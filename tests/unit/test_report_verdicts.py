@@ -10,8 +10,9 @@ import pytest
 from labkit.figure_style import channel_inks
 from labkit.report.charts import zernike_chart
 from labkit.report.curves import at_best_focus, curves_of
-from labkit.report.figures import _at_best_focus
+from labkit.report.figures import Artist
 from labkit.report.html import write_report
+from labkit.report.photographs import Photographs
 from labkit.results import Wavefront
 from tests.results_samples import ACCEPTED, a_wavefront, some_results, written
 
@@ -83,4 +84,4 @@ def test_of_defocus_alone_no_number_of_the_lens_is_shown(tmp_path: Path) -> None
     assert html.count("<strong>not fitted</strong>") >= 3  # the cards that lead
     results = some_results(wavefronts=(alone,), focus=None)
     curves = curves_of(results, at_best_focus(results))
-    assert list(_at_best_focus(results, curves)) == []
+    assert list(Artist(results, curves, Photographs()).at_best_focus()) == []
