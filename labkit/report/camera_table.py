@@ -1,4 +1,4 @@
-"""Tables of the camera's detected parts, and of the parts that the photographs were tested for."""
+"""Tables of the camera's fitted parts, and of all tested parts."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ BOUND = "a bound: no more, with 95 % confidence"
 
 
 def part_table(results: Results) -> Table | None:
-    """Each number of the parts that were fitted; None where none was."""
+    """Return the numbers of the fitted parts; None without fitted parts."""
     rows, before = list[Row](), ""
     for key, number in results.model_parts.items():
         part, *channel, what = key.split(".")
@@ -35,7 +35,7 @@ def part_table(results: Results) -> Table | None:
 
 
 def light_table(results: Results, focused: Sequence[ChannelFocus]) -> Table | None:
-    """How broad the light of each channel may be, and what that would do to its PSFs; None where the plan states all light."""
+    """Return the largest possible width of each channel's light and the effect on PSFs; None if the plan states all light."""
     rows, slopes = [], results.focus_slopes()
     for best in focused:
         nm = results.widest_light_nm.get(best.channel)
@@ -74,14 +74,14 @@ def light_table(results: Results, focused: Sequence[ChannelFocus]) -> Table | No
 
 
 def missing_words(results: Results) -> str:
-    """Name the parts that the data show and the model lacks; empty if there are none."""
+    """Return the names of detected parts that the model lacks; empty without any."""
     return ", ".join(
         _title(name) for name in dict.fromkeys(name for w in results for name in w.missing)
     )
 
 
 def tried_table(results: Results) -> Table:
-    """Parts that the photographs were tested for: what each would gain, and whether it was taken in."""
+    """Return all tested parts with their gains in log-likelihood, and whether the fit includes them."""
     rows = [
         Row((_title(p.name), fixed(p.gain, 1), "taken in" if p.adopted else ""))
         for p in results.parts_tried
@@ -95,5 +95,5 @@ def tried_table(results: Results) -> Table:
 
 
 def _title(name: str) -> str:
-    """Return a part's title; its name if this version of labkit does not know it."""
+    """Return a part's title; the name of a part unknown to this version of labkit."""
     return OPTIONAL_PARTS[name].title if name in OPTIONAL_PARTS else name

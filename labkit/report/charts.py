@@ -102,7 +102,7 @@ def zernike_chart(
 
 
 def quantile_chart(results: Results, range_mm: float | None) -> Figure:
-    """Quantiles of the normalised residuals against the normal law's, and the band that 99 % of points keep to."""
+    """Draw quantiles of the normalised residuals against normal quantiles, with a 99 % band."""
     inks = channel_inks(results.channels)
     figure, axes = chart(THIRD_IN, 2.9)
     axes.set_title(millimetres(range_mm))
@@ -201,7 +201,7 @@ def variance_shares(budget: dict[str, float]) -> list[float]:
 
 
 def _label(axes: Axes, left: Floats, width: Floats, ink: str) -> None:
-    """The per cent of each piece that has room for them."""
+    """Label each piece with its share, where wide enough."""
     for place, (start, share) in enumerate(zip(left, width, strict=True)):
         if share >= LEAST_LABELLED:
             axes.text(
@@ -336,7 +336,7 @@ def strehl_chart(curves: Sequence[Curves], inks: dict[str, Ink]) -> Figure:
 
 
 def modulation_chart(curves: Sequence[Curves], inks: dict[str, Ink]) -> Figure:
-    """MTF of each channel at one frequency along x and y against range: where both part, the lens is astigmatic."""
+    """Draw the MTF of each channel at a single frequency along x and y against range; their difference is astigmatism."""
     figure, axes = chart(HALF_IN, THROUGH_CHART_IN)
     for k, each in enumerate(curves):
         ink = inks[each.channel]

@@ -96,7 +96,7 @@ def contents(
 
 
 def session_name(m: Results) -> str:
-    """Return the name of the session, and of the results where it is not "latest"."""
+    """Return the name of the session, and of the results unless "latest"."""
     if m.folder is None:
         return "Lens measurement"
     session = m.folder.resolve()
@@ -107,7 +107,7 @@ def session_name(m: Results) -> str:
 
 
 def _checks(m: Results) -> list[dict[str, Any]]:
-    """Whether the numbers above can be trusted, a line each."""
+    """Return checks of the numbers, a line each."""
     checks = [{"good": m.holds, "text": m.headline}]
     tested = [w for w in m.wavefronts if w.test]
     if tested:
@@ -137,7 +137,7 @@ def _checks(m: Results) -> list[dict[str, Any]]:
 
 
 def _joint_check(m: Results) -> list[dict[str, Any]]:
-    """How far a climb over all frames at once moved the session's numbers, where there was one."""
+    """Check the largest change by a joint climb over all frames; empty without a joint climb."""
     if not m.joint:
         return []
     most = max(abs(moved) for moved in m.joint.values())
@@ -146,7 +146,7 @@ def _joint_check(m: Results) -> list[dict[str, Any]]:
 
 
 def _count(what: str, but: Sequence[Wavefront], fits: int) -> dict[str, Any]:
-    """Return a check of how many fits something is true of, with the names of those of which it is not."""
+    """Return a check that counts the fits with a property and names the others."""
     words = f"{what} in {fits - len(but)} of {fits} fits"
     return {"good": not but, "text": f"{words}, not: {_names(but)}" if but else words}
 
@@ -271,13 +271,13 @@ def _place(results: Results, photographs: Photographs) -> Card:
 
 
 def _span(values: Sequence[float], places: int) -> str:
-    """Return the least and the greatest, one number where they print alike."""
+    """Return the least and the greatest value; a single number if both print alike."""
     ends = (float(np.min(values)), float(np.max(values)))
     return " to ".join(dict.fromkeys(fixed(end, places) for end in ends))
 
 
 def _of(b: ChannelFocus, number: Uncertain, *, least: int = 0) -> Number:
-    """Return a number of the lens, or that it was not fitted: no mode was but defocus."""
+    """Return a number of the lens; "not fitted" if defocus is the only mode."""
     return _number(number, least=least) if b.fitted.noll else Number(NOT_FITTED, "")
 
 

@@ -31,7 +31,7 @@ MTF_DIRECTIONS: tuple[Direction, ...] = ("x", "y")
 
 @dataclass(frozen=True, slots=True)
 class ChannelFocus:
-    """A channel's wavefront nearest to focus, and the pixels that it is photographed with.
+    """A channel's wavefront nearest to focus, and the pixels of its photographs.
 
     unsure: the same numbers with unknown errors, where `labkit.results.verdicts.confirmed` has them so; else None.
     """
@@ -85,7 +85,7 @@ class ChannelFocus:
 
 
 def at_best_focus(results: Results) -> list[ChannelFocus]:
-    """For each channel, what its wavefront of least defocus is without it."""
+    """Return, for each channel, the wavefront with the least defocus."""
     sensor = results.plan.sensor
     nearest = [results.nearest_focus(channel) for channel in results.channels]
     return [ChannelFocus(w, sensor, _unsure(w, results)) for w in nearest]
@@ -105,7 +105,7 @@ def full_nyquist_per_mm(sensor: Sensor) -> float:
 
 
 def plane_nyquist_per_mm(sensor: Sensor, channel: str) -> float:
-    """Return the Nyquist frequency of one channel's pixels: half as high in a filter array of 2 x 2."""
+    """Return the Nyquist frequency of a channel's pixels: half as high in a filter array of 2 x 2."""
     return full_nyquist_per_mm(sensor) / sensor.pixels(channel).period
 
 
@@ -154,7 +154,7 @@ class Curves:
         return np.array([self.place(float(d)) for d in self.strehl.defocus_waves])
 
     def placed(self, defocus: Uncertain, focus_std: float = 0.0) -> Uncertain:
-        """A defocus as a place: its error, that of the cone, and that of best focus, where ranges are counted from."""
+        """Return the place of a defocus; its error includes the errors of the cone and of best focus."""
         step = 1e-3
         w = self.focus.fitted
         slope = (self.place(defocus.value + step) - self.place(defocus.value - step)) / (
@@ -173,7 +173,7 @@ def last_frequency_per_mm(results: Results) -> float:
 
 
 def curves_of(results: Results, focused: list[ChannelFocus]) -> list[Curves]:
-    """Return the curves of each channel; axes of one kind end alike for all."""
+    """Return the curves of each channel, on the same axes for all channels."""
     last_per_mm = last_frequency_per_mm(results)
     last_um = max(
         max(

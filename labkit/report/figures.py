@@ -206,7 +206,7 @@ class Artist:
             yield Plate("residuals", panels, across=3)
 
 
-SECTIONS: dict[str, tuple[str, Callable[[Artist], Iterable[Plate]]]] = {
+DRAWN_SECTIONS: dict[str, tuple[str, Callable[[Artist], Iterable[Plate]]]] = {
     "best-focus": ("best focus", Artist.at_best_focus),
     "focus": ("focus", Artist.focus),
     "depth": ("through focus", Artist.through_focus),
@@ -231,7 +231,7 @@ def draw_figures(
     """
     drawn = dict[str, list[Plate]]()
     with styled():
-        for section, (words, draw) in SECTIONS.items():
+        for section, (words, draw) in DRAWN_SECTIONS.items():
             begin(f"drawing {words}")
             drawn[section] = list(draw(artist))
     return {section: plates for section, plates in drawn.items() if plates}

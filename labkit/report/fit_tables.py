@@ -1,4 +1,4 @@
-"""Tables of the fits: what each photographed range gave, and how it was fitted."""
+"""Tables of the fits: results of each range, and methods."""
 
 from __future__ import annotations
 
@@ -8,16 +8,20 @@ from math import isfinite
 import numpy as np
 
 from labkit.report.table import (
+    CHANNEL_COLUMN,
+    RANGE_COLUMN,
     UNKNOWN,
     Column,
     Row,
     Table,
-    bare,
+    by_range,
     estimated,
     fixed,
+    listed,
     plus_minus,
 )
 from labkit.results import OptimumTest, Results, Wavefront
+from labkit.results.tables import NOT_FITTED
 from labkit.results.verdicts import confirmed, model_word, optimum_word, stated
 from labkit.uncertain import Uncertain
 
@@ -27,68 +31,46 @@ NOT_KEPT = "these results do not keep their errors: fit again"
 
 
 def fit_table(results: Results) -> Table:
-    """Defocus and blur of each fit, and whether model and optimum stand."""
-    columns = [
-        Column("range", "mm", exact=True),
-        Column("channel", text=True),
-        Column("defocus", "waves RMS"),
-        *([Column("blur", "µm")] if results.lens else []),
-        Column("χ²/pixel", why=TEST),
-        Column("optimum", text=True),
-        Column("model", text=True),
-    ]
-    rows = [Row(_fit_cells(w, results), first=first) for first, w in _in_order(results)]
-    return Table(tuple(columns), tuple(rows), channels=1)
+    """Return defocus and blur of each fit, and the verdicts on optimum and model."""
 
+    def shown(w: Wavefront, number: Uncertain | None, least: int) -> str:
+        known = confirmed(w, results.wavefronts)
+        return estimated(number and stated(number, known=known), least=least)
 
-def _fit_cells(w: Wavefront, results: Results) -> tuple[str, ...]:
-    known = confirmed(w, results.wavefronts)
+    def defocus(w: Wavefront) -> str:
+        return shown(w, w.defocus, 4) if w.defocus else NOT_FITTED
 
-    def shown(number: Uncertain | None, least: int) -> str:
-        return (
-            UNKNOWN
-            if number is None
-            else estimated(stated(number, known=known), least=least)
-        )
-
-    between = [shown(w.blur, 2)] if results.lens else []
-    defocus = "not fitted" if w.defocus is None else shown(w.defocus, 4)
-    verdicts = optimum_word(w.test), model_word(w.test)
-    return (
-        bare(w.range_mm),
-        w.channel,
-        defocus,
-        *between,
-        fixed(w.chi2_per_pixel, 3),
-        *verdicts,
+    blur = Column("blur", "µm", cell=lambda w: shown(w, w.blur, 2))
+    return listed(
+        by_range(results),
+        RANGE_COLUMN,
+        CHANNEL_COLUMN,
+        Column("defocus", "waves RMS", cell=defocus),
+        *([blur] if results.lens else []),
+        Column("χ²/pixel", why=TEST, cell=lambda w: fixed(w.chi2_per_pixel, 3)),
+        Column("optimum", text=True, cell=lambda w: optimum_word(w.test)),
+        Column("model", text=True, cell=lambda w: model_word(w.test)),
+        channels=1,
     )
 
 
 def method_table(results: Results) -> Table:
-    """Gain, read noise, time and test of each fit, and its photographs."""
-    columns = (
-        Column("range", "mm", exact=True),
-        Column("channel", text=True),
-        Column("gain", "counts/e⁻", why=NUISANCE),
-        Column("read noise", "counts", why=NUISANCE),
-        Column("time", "s", exact=True),
-        Column("test of the optimum", text=True, why=TEST),
-        Column("photographs", text=True, exact=True),
-    )
-    rows = [Row(_method_cells(w), first=first) for first, w in _in_order(results)]
-    return Table(columns, tuple(rows), channels=1)
-
-
-def _method_cells(w: Wavefront) -> tuple[str, ...]:
-    frames = ", ".join(w.frames) or UNKNOWN
-    return (
-        bare(w.range_mm),
-        w.channel,
-        fixed(w.gain, 4),
-        fixed(w.read_noise, 2),
-        fixed(w.seconds, 1),
-        _test(w.test),
-        frames,
+    """Return gain, read noise, time and test of each fit, and its photographs."""
+    return listed(
+        by_range(results),
+        RANGE_COLUMN,
+        CHANNEL_COLUMN,
+        Column("gain", "counts/e⁻", why=NUISANCE, cell=lambda w: fixed(w.gain, 4)),
+        Column("read noise", "counts", why=NUISANCE, cell=lambda w: fixed(w.read_noise, 2)),
+        Column("time", "s", exact=True, cell=lambda w: fixed(w.seconds, 1)),
+        Column("test of the optimum", text=True, why=TEST, cell=lambda w: _test(w.test)),
+        Column(
+            "photographs",
+            text=True,
+            exact=True,
+            cell=lambda w: ", ".join(w.frames) or UNKNOWN,
+        ),
+        channels=1,
     )
 
 
@@ -126,14 +108,6 @@ def _residuals(waves: Sequence[Uncertain]) -> str:
         for each in waves
     )
     return ", ".join(words) or UNKNOWN
-
-
-def _in_order(results: Results) -> list[tuple[bool, Wavefront]]:
-    return [
-        (k == 0, w)
-        for range_mm in results.ranges_mm
-        for k, w in enumerate(results.at_range(range_mm))
-    ]
 
 
 def _test(verdict: OptimumTest | None) -> str:

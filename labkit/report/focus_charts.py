@@ -1,4 +1,4 @@
-"""Charts of focus: defocus against range with what the fit leaves, and encircled energy at best focus."""
+"""Charts of focus: defocus against range with residuals, and encircled energy at best focus."""
 
 from collections.abc import Callable, Sequence
 

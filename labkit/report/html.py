@@ -1,4 +1,4 @@
-"""The report: one HTML file that needs nothing else, with the numbers to download, and its figures as files beside it."""
+"""The report: a self-contained HTML file with its numbers to download, and its figures as files in a folder."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from labkit.optics.through_focus import ThroughFocus
 from labkit.optics.zernike import mode_name
 from labkit.report.contents import contents
 from labkit.report.curves import Curves, at_best_focus, curves_of
-from labkit.report.figures import SECTIONS, Artist, draw_figures
+from labkit.report.figures import DRAWN_SECTIONS, Artist, draw_figures
 from labkit.report.photographs import photographs_of
 from labkit.report.pictures import Plate
 from labkit.report.table import (
@@ -37,7 +37,7 @@ from labkit.report.table import (
     when,
 )
 from labkit.results import Results, Wavefront
-from labkit.types import Progress, no_progress
+from labkit.types import Floats, Progress, no_progress
 
 TEMPLATES = Path(__file__).parent / "templates"
 
@@ -45,7 +45,7 @@ TEMPLATES = Path(__file__).parent / "templates"
 def write_report(
     results: Results | Path | str, *, pdf: bool = False, progress: Progress = no_progress
 ) -> Path:
-    """Write report.html and figures/ beside results, and report.pdf where it is asked for.
+    """Write report.html and figures/ into the folder of the results, and report.pdf if requested.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def write_report(
 
     >>> labkit.write_report("night-3", pdf=True)
     """
-    total = len(SECTIONS) + 2 + pdf
+    total = len(DRAWN_SECTIONS) + 2 + pdf
     steps = count()
 
     def begin(words: str) -> None:
@@ -149,7 +149,7 @@ def _render(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= FILTERS
+    environment.filters |= TEMPLATE_FILTERS
     script = (TEMPLATES / "report.js").read_text(encoding="utf-8")
     # the one script that the page may run: nothing that a file's name smuggles in
     allowed = b64encode(sha256(script.encode()).digest()).decode()
@@ -161,7 +161,7 @@ def _render(
 
 
 def _css_string(text: str) -> str:
-    """Return a text as a string of CSS, in which no character can end it or the style sheet."""
+    """Return a text as a string of CSS, with escapes for all special characters."""
     letters = (c if c.isascii() and c.isalnum() else f"\\{ord(c):06x}" for c in text)
     return f'"{"".join(letters)}"'
 
@@ -171,7 +171,7 @@ def _data_uri(content: bytes, media_type: str) -> str:
     return f"data:{media_type};base64,{b64encode(content).decode()}"
 
 
-FILTERS: dict[str, Callable[..., str]] = {
+TEMPLATE_FILTERS: dict[str, Callable[..., str]] = {
     "uri": _data_uri,
     "css": _css_string,
     "estimated": estimated,
@@ -189,7 +189,7 @@ LINE = "\r\n"  # as RFC 4180 has it
 
 @dataclass(frozen=True, slots=True)
 class Download:
-    """A file in the page: its name, its bytes, and what it holds."""
+    """A file in the page: its name, bytes and description."""
 
     name: str
     media_type: str
@@ -198,7 +198,7 @@ class Download:
 
 
 def downloads_of(results: Results, curves: Sequence[Curves]) -> list[Download]:
-    """All that the charts show, at full precision, with standard errors."""
+    """Return the data of all charts at full precision, with standard errors."""
     raw = json.dumps(results.as_json(), indent=1, allow_nan=False).encode()
     return [
         Download(
@@ -222,7 +222,7 @@ def _table(name: str, rows: Iterable[Sequence[Cell]], what: str) -> Download:
 
 
 def _written(cell: Cell) -> Cell:
-    """Numbers to nine digits, nothing for what is not finite; text as text, never as a program's formula."""
+    """Return a cell with nine digits, empty if not finite; text never becomes a spreadsheet's formula."""
     if isinstance(cell, str):
         return f"'{cell}" if cell[:1] in "=+-@\t" else cell
     if isinstance(cell, float | np.floating):
@@ -231,7 +231,7 @@ def _written(cell: Cell) -> Cell:
 
 
 def _zernike(results: Results) -> Iterable[Sequence[Cell]]:
-    yield (
+    yield [
         "range_mm",
         "channel",
         "wavelength_nm",
@@ -243,29 +243,23 @@ def _zernike(results: Results) -> Iterable[Sequence[Cell]]:
         "std_nm_rms",
         "sign_open",
         "twin_waves_rms",
-    )
+    ]
     nm = results.reference_wavelength_nm
     for w in results:
-        for j, value, std, twin in zip(
-            w.noll, w.waves.tolist(), w.std.tolist(), w.twin.waves.tolist(), strict=True
-        ):
-            yield (
-                w.range_mm,
-                w.channel,
-                w.wavelength_nm,
-                j,
-                mode_name(j),
-                value,
-                std,
-                value * nm,
-                std * nm,
-                str(w[j].sign_open).lower(),
-                twin if w.sign_open else None,
-            )
+        columns = (w.waves, w.std, w.waves * nm, w.std * nm)
+        for j, twin, *numbers in _rows([w.twin.waves, *columns], w.noll):
+            sign_open = str(w[j].sign_open).lower()
+            where = (w.range_mm, w.channel, w.wavelength_nm, j, mode_name(j))
+            yield *where, *numbers, sign_open, twin if w.sign_open else None
+
+
+def _rows(columns: Sequence[Floats], *before: Iterable[Any]) -> Iterable[Sequence[Any]]:
+    """Return the rows of columns of one length."""
+    return zip(*before, *(column.tolist() for column in columns), strict=True)
 
 
 def _mtf(curves: Sequence[Curves]) -> Iterable[Sequence[Cell]]:
-    yield (
+    yield [
         "channel",
         "direction",
         "cycles_per_mm",
@@ -274,18 +268,11 @@ def _mtf(curves: Sequence[Curves]) -> Iterable[Sequence[Cell]]:
         "diffraction_limit",
         "pixel",
         "mtf_with_pixel",
-    )
+    ]
     for c in curves:
         for direction, curve in c.mtf.items():
-            columns = (
-                curve.frequency_per_mm,
-                curve.value,
-                curve.std,
-                c.perfect,
-                c.pixel,
-                curve.value * c.pixel,
-            )
-            for row in np.column_stack(columns).tolist():
+            optics = [curve.frequency_per_mm, curve.value, curve.std]
+            for row in _rows([*optics, c.perfect, c.pixel, curve.value * c.pixel]):
                 yield c.channel, direction, *row
 
 
@@ -296,14 +283,14 @@ def _through(curves: Sequence[Curves]) -> Iterable[Sequence[Cell]]:
         each: list[tuple[str, float | None, ThroughFocus]] = [("strehl", None, c.strehl)]
         each += [(f"mtf_{d}", c.through_per_mm, curve) for d, curve in c.modulation.items()]
         for name, per_mm, curve in each:
-            columns = (curve.defocus_waves, c.places, curve.value, curve.std)
-            for defocus, place, value, std in np.column_stack(columns).tolist():
-                yield c.channel, defocus, place, name, per_mm, value, std
+            columns = [curve.defocus_waves, c.places, curve.value, curve.std]
+            for defocus, place, *number in _rows(columns):
+                yield c.channel, defocus, place, name, per_mm, *number
 
 
 def _energy(curves: Sequence[Curves]) -> Iterable[Sequence[Cell]]:
     yield "channel", "radius_um", "share", "std", "diffraction_limit"
     for c in curves:
-        columns = (c.energy.radius_um, c.energy.value, c.energy.std, c.perfect_energy)
-        for row in np.column_stack(columns).tolist():
-            yield c.channel, *row
+        energy = c.energy
+        columns = [energy.radius_um, energy.value, energy.std, c.perfect_energy]
+        yield from ((c.channel, *row) for row in _rows(columns))

@@ -14,19 +14,23 @@ from labkit.optics.mtf import Direction
 from labkit.optics.orders import noll_to_fringe, noll_to_osa
 from labkit.optics.rim import Rim
 from labkit.optics.through_focus import DEPTH, sensor_shift_um
-from labkit.optics.wavefront import DEFOCUS
+from labkit.optics.wavefront import DEFOCUS, FittedWavefront
 from labkit.optics.zernike import mode_name
 from labkit.report.curves import ChannelFocus, Curves
 from labkit.report.table import (
+    CHANNEL_COLUMN,
     MINUS,
+    RANGE_COLUMN,
     UNKNOWN,
     Column,
     Row,
     Table,
     bare,
+    by_range,
     channel_columns,
     estimated,
     fixed,
+    listed,
     millimetres,
 )
 from labkit.results import Results, Wavefront
@@ -40,6 +44,7 @@ NO_LIMIT = "beyond any range"  # of a lens focused so far away that infinity is 
 PITCH_NOTE = "by the pixel pitch, which the plan states without an error"
 
 Cell = Callable[[ChannelFocus], str]
+Measure = Callable[[FittedWavefront, tuple[int, ...]], Uncertain]
 Directional = Callable[[ChannelFocus, Direction], Uncertain]
 
 
@@ -248,7 +253,7 @@ def lens_table(results: Results) -> Table | None:
 
 
 def _full_pupil(rim: Rim, f_number: Uncertain) -> list[Row]:
-    """The f-number of the circle around a pupil that is no clear disc."""
+    """Return the f-number of the circle around a pupil other than a clear disc."""
     if rim.is_round:
         return []
     outer = Uncertain(f_number.value / rim.outer, f_number.std / rim.outer)
@@ -280,7 +285,7 @@ def budget_table(results: Results) -> Table | None:
 
 
 def _share(std: float, digits: int) -> str:
-    """A standard error; below the last digit that it is, unless it is none."""
+    """Return a standard error; an upper limit if below the last digit."""
     least = 10.0**-digits
     return fixed(std, digits) if std == 0 or std >= least / 2 else f"< {least:.{digits}f}"
 
@@ -293,12 +298,12 @@ def budget_name(key: str) -> tuple[str, str]:
 
 
 def whole_std(shares: dict[str, float]) -> float:
-    """The standard error that the sources make together."""
+    """Return the standard error by all sources together."""
     return sqrt(sum(share**2 for share in shares.values()))
 
 
 def _rows_by_channel(name: str, measured: Mapping[str, Uncertain]) -> list[Row]:
-    """One row for each channel; only the first has the name."""
+    """Return a row for each channel, the first with the name."""
     rows = [
         _row("" if k else name, channel, number)
         for k, (channel, number) in enumerate(measured.items())
@@ -317,32 +322,27 @@ ALIKE = 1e-6
 
 
 def path_table(results: Results, without: tuple[int, ...] = ()) -> Table:
-    """RMS and P-V of each range and channel, in waves and nanometres. without: Noll modes to leave out."""
-    columns = (
-        Column("range", "mm", exact=True),
-        Column("channel", text=True),
-        Column("RMS", "waves"),
-        Column("", "nm"),
-        Column("P–V", "waves"),
-        Column("", "nm"),
+    """Return RMS and P-V of each fit, in waves and nanometres. without: Noll modes to omit."""
+
+    def column(label: str, unit: str, measure: Measure, least: int = 0) -> Column:
+        def cell(w: Wavefront) -> str:
+            known = confirmed(w, results.wavefronts)
+            number = stated(measure(w.fitted, without), known=known)
+            factor = w.reference_wavelength_nm if unit == "nm" else 1.0
+            return estimated(number, factor, least=least)
+
+        return Column(label, unit, cell=cell)
+
+    return listed(
+        by_range(results),
+        RANGE_COLUMN,
+        CHANNEL_COLUMN,
+        column("RMS", "waves", metrics.rms, 4),
+        column("", "nm", metrics.rms),
+        column("P–V", "waves", metrics.peak_to_valley, 3),
+        column("", "nm", metrics.peak_to_valley),
+        channels=1,
     )
-    rows = [
-        Row(_path_cells(w, without, known=confirmed(w, results.wavefronts)), first=k == 0)
-        for range_mm in results.ranges_mm
-        for k, w in enumerate(results.at_range(range_mm))
-    ]
-    return Table(columns, tuple(rows), channels=1)
-
-
-def _path_cells(w: Wavefront, without: tuple[int, ...], *, known: bool) -> tuple[str, ...]:
-    cells = [bare(w.range_mm), w.channel]
-    for measure, least in ((metrics.rms, 4), (metrics.peak_to_valley, 3)):
-        number = stated(measure(w.fitted, without), known=known)
-        cells += [
-            estimated(number, least=least),
-            estimated(number, w.reference_wavelength_nm),
-        ]
-    return tuple(cells)
 
 
 def mode_table(focused: Sequence[ChannelFocus], unit: str, factor: float = 1.0) -> Table:

@@ -89,7 +89,7 @@ def find_browser() -> str:
 
 
 def _version(browser: str) -> int:
-    """Return the major version of a browser; 0 where it does not say."""
+    """Return the major version of a browser; 0 if unknown."""
     with suppress(LabkitError):
         if stated := re.search(
             r"(\d{2,4})\.\d+\.\d+", _run([browser, "--version"], VERSION_S)
@@ -99,7 +99,7 @@ def _version(browser: str) -> int:
 
 
 def _command(browser: str, report: Path, printed: Path, profile: str) -> list[str]:
-    """Return the command that prints a page to a file. profile: a folder of its own, so that no open browser takes over."""
+    """Return the command to print a page to a file. profile: a new folder, which keeps an open browser from taking over."""
     return [
         browser,
         "--headless",
@@ -116,7 +116,7 @@ def _command(browser: str, report: Path, printed: Path, profile: str) -> list[st
 
 
 def _run(command: list[str], timeout_s: float) -> str:
-    """Run a browser to its end and return what it printed. Raises LabkitError where it does not start or end."""
+    """Run a browser to its end and return its output. Raises LabkitError if the browser does not start or end."""
     try:
         process = subprocess.Popen(
             command,

@@ -124,7 +124,7 @@ def _exif(path: Path) -> Exif | None:
 
 
 def _one(exifs: Sequence[Exif], value_of: Callable[[Exif], object]) -> str:
-    """Return the value that all files state, or the different values of some."""
+    """Return the value stated by all files, or the different values."""
     values = dict.fromkeys(str(value) for exif in exifs if (value := value_of(exif)))
     return ", ".join(values)
 
@@ -157,7 +157,7 @@ def _span(times: Sequence[str]) -> str:
 
 
 def _drawn(began: dict[str, Any], fitted_mm: float) -> str:
-    """The size that a display showed, whose pixels are whole."""
+    """Return the size drawn by a display, in whole pixels."""
     size = began.get("shown_size_mm")
     if not isinstance(size, list | tuple):
         return ""
@@ -170,7 +170,7 @@ def _either(name: str, in_files: str, in_journal: str) -> tuple[str, str, str]:
 
 
 def _preview(path: Path | None, results: Results) -> dict[str, Any]:
-    """The photograph, small, its filter array averaged out; nothing where it cannot be read."""
+    """Return a small photograph, averaged over its filter array; empty if unreadable."""
     if path is None:
         return {}
     from labkit.photographs.decoding import read_photograph

@@ -1,4 +1,4 @@
-"""Pictures of pixels, and the plates that figures stand on: wavefront maps, PSFs, the target in the frame, data and model."""
+"""Figures made of pixels, and plates of figures: wavefront maps, PSFs, the target in the frame, data and model."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Panel:
 
 @dataclass(frozen=True, slots=True)
 class Plate:
-    """Panels with one caption.
+    """Panels with a common caption.
 
     kind: of the caption in templates/figures.html.j2; across: number of panels side by side
     on a wide page; width_um: width of each panel on the sensor
@@ -68,7 +68,7 @@ class Plate:
 
 
 def drawing(kind: str, figure: Figure, of: Any = None, key: str = "") -> Panel:
-    """Return a figure made of lines. key: what its file's name has in addition to the kind."""
+    """Return a figure made of lines. key: follows the kind in the file's name."""
     return Panel(_name(kind, key), kind, svg(figure), "image/svg+xml", of)
 
 
@@ -89,7 +89,7 @@ def chip(fit: Wavefront, residuals: Residuals) -> Panel:
     return Panel(_name("fit", fit.key), "fit", content, of=of, pixels=True)
 
 
-def _name(kind: str, key: str) -> str:
+def _name(kind: str, key: object) -> str:
     return f"{kind}_{key}" if key else kind
 
 
@@ -169,7 +169,7 @@ def _side_by_side(
 def _colour_bar(
     figure: Figure, image: AxesImage, height: float, reference_nm: float
 ) -> None:
-    """Below the maps: waves under it, nanometres above."""
+    """Draw a colour bar below the maps, with waves below and nanometres above."""
     bar = figure.colorbar(
         image,
         cax=figure.add_axes((0.2, 0.24 / height, 0.6, 0.07 / height)),
@@ -184,7 +184,7 @@ def _colour_bar(
 
 
 def psf_half_width_um(wavefronts: Sequence[Wavefront]) -> float:
-    """Half the side of a square that shows every PSF: its geometric blur, with rings about it."""
+    """Return half the side of a square with room for every PSF: geometric blur and rings."""
     widths = []
     for w in wavefronts:
         airy_um = w.wavelength_nm * 1e-3 * w.f_number
@@ -297,7 +297,7 @@ def place_picture(results: Results, photographs: Photographs) -> Figure | None:
 def chip_image(
     residuals: Residuals, frame: int = 0, plane: int = 0
 ) -> tuple[bytes, float, float]:
-    """Raw chip, model on the same scale, and normalised residual side by side, as a PNG of one pixel each; and that scale.
+    """Return raw chip, model and normalised residual side by side as a PNG, and the black and white levels.
 
     A palette of greys for counts and of red and blue for the residual, from -4 to +4 standard deviations.
     """
@@ -312,7 +312,7 @@ def chip_image(
 
 
 def _indices(share: Floats, count: int, first: int) -> NDArray[np.uint8]:
-    """0..1 as entries of the palette; those left out as the last one."""
+    """Return entries of the palette for shares 0..1; masked pixels are the last entry."""
     entries = first + np.round(np.clip(np.nan_to_num(share), 0, 1) * (count - 1))
     return np.where(np.isfinite(share), entries, GREYS + GREY_SHADES).astype(np.uint8)
 

@@ -6,12 +6,15 @@ below the table; `tests/unit/test_report_numbers.py` walks the page and holds it
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from math import isfinite, isinf
+from operator import attrgetter
 from string import ascii_lowercase
+from typing import Any
 
+from labkit.results import Results, Wavefront
 from labkit.uncertain import SIGN_OPEN, Uncertain, decimals
 
 MINUS = "\N{MINUS SIGN}"
@@ -26,7 +29,7 @@ PLUS_MINUS = "\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}"  # never parted from its n
 
 
 def fixed(value: float | None, places: int) -> str:
-    """A number to so many decimal places; a dash where there is none."""
+    """Return a number to so many decimal places; a dash for None."""
     if value is None or not isfinite(value):
         return UNKNOWN
     text = f"{value:.{places}f}"
@@ -34,7 +37,7 @@ def fixed(value: float | None, places: int) -> str:
 
 
 def plus_minus(value: float, std: float, places: int | None = None) -> str:
-    """A number and its standard error to the same decimal place, never ± 0.00; in words that the error is not known."""
+    """Return a number and its standard error to the same decimal place, never ± 0.00; words if the error is unknown."""
     if isinf(std):
         return "not determined"
     if not std > 0:
@@ -46,7 +49,7 @@ def plus_minus(value: float, std: float, places: int | None = None) -> str:
 
 
 def estimated(number: Uncertain | None, factor: float = 1.0, *, least: int = 0) -> str:
-    """An estimate times a factor, to the decimal places of its error but no fewer than least; a dash where there is none.
+    """Return an estimate times a factor, to the decimal places of its error, at least `least`; a dash for None.
 
     An estimate of open sign has "±" in place of it.
     """
@@ -64,7 +67,7 @@ def estimated(number: Uncertain | None, factor: float = 1.0, *, least: int = 0) 
 
 
 def when(iso: str) -> str:
-    """A moment as a reader writes it: "22 November 2026, 06:28 UTC"; as it stands where it is none."""
+    """Return a moment in words, "22 November 2026, 06:28 UTC"; any other text unchanged."""
     try:
         at = datetime.fromisoformat(iso)
     except ValueError:
@@ -80,7 +83,7 @@ def when(iso: str) -> str:
 
 
 def millimetres(range_mm: float | None) -> str:
-    """A range with its unit, or that there is none."""
+    """Return a range with its unit; "no range" for None."""
     return "no range" if range_mm is None else f"{range_mm:g} mm"
 
 
@@ -94,7 +97,8 @@ class Column:
     """A column of a table.
 
     text: set to the left; channel: marked by that channel's colour; why: the reason why its numbers have no error; exact: its
-    numbers cannot have one, being definitions, counts or errors themselves.
+    numbers cannot have one, being definitions, counts or errors themselves; cell: of an item
+    of `listed`.
     """
 
     label: str
@@ -103,6 +107,12 @@ class Column:
     channel: str = ""
     why: str = ""
     exact: bool = False
+    cell: Callable[[Any], str] = str
+
+
+RANGE_COLUMN = Column("range", "mm", exact=True, cell=lambda w: bare(w.range_mm))
+CHANNEL_COLUMN = Column("channel", text=True, cell=attrgetter("channel"))
+"""Columns of fits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,3 +171,20 @@ class Table:
 def channel_columns(channels: Sequence[str], unit: str = "") -> Iterator[Column]:
     """A column for each channel."""
     return (Column(channel, unit, channel=channel) for channel in channels)
+
+
+def by_range(results: Results) -> list[tuple[Wavefront, ...]]:
+    """Return the fits in groups, a group for each range."""
+    return [tuple(results.at_range(range_mm)) for range_mm in results.ranges_mm]
+
+
+def listed(
+    groups: Iterable[Iterable[Any]], *columns: Column, channels: int = -1, strong: int = -1
+) -> Table:
+    """Return a table with a row for each item of some groups, made by the columns' cells."""
+    rows = [
+        Row(tuple(column.cell(item) for column in columns), first=k == 0)
+        for group in groups
+        for k, item in enumerate(group)
+    ]
+    return Table(columns, tuple(rows), strong, channels)
