@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from labkit.errors import LabkitError
     from labkit.experiments.runner import run_study
     from labkit.imaging.optics import Optics
+    from labkit.noise.measure import measure_noise
     from labkit.plan import Plan
     from labkit.report.html import write_report
     from labkit.restoration.scenes import restore
@@ -71,6 +72,7 @@ _PLACES = {
     "list_connected": "devices.inventory",
     "list_sessions": "catalogue.sessions",
     "measure_edges": "edges.measurement",
+    "measure_noise": "noise.measure",
     "measure_tone": "calibration.tone_wedge",
     "open_devices": "devices.registry",
     "open_target": "target",
@@ -108,6 +110,7 @@ __all__ = [
     "list_connected",
     "list_sessions",
     "measure_edges",
+    "measure_noise",
     "measure_tone",
     "open_devices",
     "open_target",

@@ -132,6 +132,10 @@ TEXTS = {
     ),
     "bias-instead-of-darks": "no dark frames: bias frames are used instead, and dark current is neglected",
     "dark-exposure-differs": "dark and target frames differ in exposure time: dark current may be wrong",
+    "noise-contradicts-plan": (
+        "channel {channel}: {key} = {stated:.4g} in the plan, but the session's own flats and darks show {measured:.4g} ± "
+        "{std:.2g}: the session's own is used; correct the plan, whose number holds for one ISO only"
+    ),
     "no-flat-frames": (
         "no flat frames: uneven light is fitted as a low-order polynomial, with gain and read noise; all pixels are "
         "assumed to be equal"

@@ -8,12 +8,10 @@ from typing import Any
 import typer
 
 from docs.generators.markdown import code, directive
-from labkit.cli import bench, catalogue, sessions
 from labkit.cli.app import app
+from labkit.cli.command_line import load_commands
 
-assert bench
-assert catalogue
-assert sessions  # they add their commands to the app
+load_commands()
 
 
 def commands() -> str:

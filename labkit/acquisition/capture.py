@@ -22,8 +22,8 @@ from labkit.acquisition.preflight import preflight
 from labkit.acquisition.sequence import (
     Shot,
     bench_settings,
-    fit_command,
     missing,
+    next_command,
     picture_for,
     shots,
 )
@@ -182,7 +182,7 @@ class _Capture:
             warn(words)
         if check:
             self._look_round(target, stations, len(todo), warn)
-        else:
+        if not check or self._session.plan.noise is not None:
             self._patient.ready()
             if stations:
                 self._patient.home()
@@ -193,7 +193,9 @@ class _Capture:
             self._take("white", [shot for shot in here if shot.kind == "flat"])
             self._take(target.grey, [shot for shot in here if shot.kind == "target"])
         self._log.note("complete")
-        self._log.show("next", command=fit_command(self._session.folder))
+        self._log.show(
+            "next", command=next_command(self._session.plan, self._session.folder)
+        )
 
     def _look_round(
         self,
@@ -207,7 +209,7 @@ class _Capture:
             sorted(
                 {min(stations), max(stations)}, key=lambda range_mm: range_mm == stations[0]
             )
-            if stations
+            if stations and self._session.plan.noise is None
             else []
         )
         findings = preflight(
@@ -259,8 +261,10 @@ class _Capture:
             return
         self._log.step("showing " + (picture if isinstance(picture, str) else "the target"))
         self._patient.show(picture)
+        camera, _ = bench_settings(self._session.plan)
         for shot in todo:
             self._log.step(f"taking {shot.name}")
+            self._patient.expose_for(shot.exposure_s or camera.exposure_s)
             self._keep(*self._patient.photograph_in_place(picture, shot), shot)
 
     def _keep(self, raw: RawFrame, meta: dict[str, Any], shot: Shot) -> None:
@@ -283,9 +287,11 @@ class _Capture:
         """Return a photograph, decoded. Raises RawError or DataError for a useless one."""
         plan = self._session.plan
         mosaic = read_photograph(path, plan.sensor)
-        problem = exposure_problem(
-            mosaic, shot.kind, (channel.name for channel in plan.channel)
-        )
+        ladder = (
+            shot.kind == "flat" and shot.exposure_s is not None
+        )  # dim and full ones too
+        names = [channel.name for channel in plan.channel]
+        problem = None if ladder else exposure_problem(mosaic, shot.kind, names)
         first = self._first = self._first or mosaic
         if _likeness(mosaic) != _likeness(first):
             raise RawError(

@@ -44,6 +44,7 @@ class PatientDevices:
         self._folder = folder
         self._standing: tuple[float, dict[str, Any]] | None = None
         self._homing: int | None = None
+        self._exposure_s = self._camera.exposure_s
 
     @property
     def can_cover(self) -> bool:
@@ -64,6 +65,12 @@ class PatientDevices:
         """Find the camera and set it."""
         self._log.step("setting the camera")
         self._try("camera", self._ready_camera, lambda: None)
+
+    def expose_for(self, exposure_s: float) -> None:
+        """Set the exposure time of the next photographs, if it is another."""
+        if exposure_s != self._exposure_s:
+            self._exposure_s = exposure_s
+            self.ready()
 
     def show(self, picture: Picture) -> None:
         """Show a picture."""
@@ -151,9 +158,7 @@ class PatientDevices:
     def _ready_camera(self) -> None:
         """Find the camera, again if the connection was lost, and set it."""
         info = self.devices.camera.identify()
-        self.devices.camera.configure(
-            ExposureSettings(self._camera.exposure_s, self._camera.iso)
-        )
+        self.devices.camera.configure(ExposureSettings(self._exposure_s, self._camera.iso))
         self._log.note("camera", model=info.model, serial=info.serial, driver=info.driver)
 
     def _expose(self, name: str) -> RawFrame:

@@ -13,7 +13,7 @@ from labkit.devices.protocols import Display, OnPaper
 from labkit.devices.registry import open_display
 from labkit.errors import PlanError
 from labkit.panel.picture import PanelPicture, panel_picture
-from labkit.plan import CameraSettings, Plan, RailSettings
+from labkit.plan import CameraSettings, NoiseSettings, Plan, RailSettings
 from labkit.session.session import Session
 from labkit.target import open_target
 from labkit.types import FrameKind
@@ -21,16 +21,19 @@ from labkit.types import FrameKind
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """A photograph to take: its name without the suffix, which the camera chooses."""
+    """A photograph to take: its name without the suffix, which the camera chooses; exposure_s: None for the plan's."""
 
     name: str
     kind: FrameKind
     range_mm: float | None
+    exposure_s: float | None = None
 
 
 def shots(plan: Plan) -> tuple[Shot, ...]:
     """Return all photographs of a plan in order. Raises PlanError without [camera] or [rail]."""
     camera, rail = bench_settings(plan)
+    if plan.noise is not None:
+        return _ladder(plan.noise, rail.ranges_mm[0])
     every = [Shot(f"dark_{i}", "dark", None) for i in range(camera.darks)]
     for range_mm in rail.ranges_mm:
         every += [
@@ -42,6 +45,17 @@ def shots(plan: Plan) -> tuple[Shot, ...]:
             for i in range(camera.frames_per_range)
         ]
     return tuple(every)
+
+
+def _ladder(noise: NoiseSettings, range_mm: float) -> tuple[Shot, ...]:
+    """Return the darks, then the flats of a photon-transfer series."""
+    kinds: tuple[tuple[FrameKind, float | None], ...] = (("dark", None), ("flat", range_mm))
+    return tuple(
+        Shot(f"{kind}_{exposure_s:.10g}s_{i}", kind, where, exposure_s)
+        for kind, where in kinds
+        for exposure_s in sorted(noise.exposures_s)
+        for i in range(noise.frames_per_exposure)
+    )
 
 
 def missing(session: Session) -> tuple[Shot, ...]:
@@ -99,9 +113,10 @@ def shown_target(plan: Plan, context: DeviceContext) -> Iterator[Display | None]
         yield display
 
 
-def fit_command(session: Path) -> str:
-    """Return the command that fits a session."""
-    return shlex.join(["labkit", "fit", str(session)])
+def next_command(plan: Plan, session: Path) -> str:
+    """Return the command that evaluates a session."""
+    command = "fit" if plan.noise is None else "noise"
+    return shlex.join(["labkit", command, str(session)])
 
 
 def bench_settings(plan: Plan) -> tuple[CameraSettings, RailSettings]:

@@ -15,6 +15,7 @@ from labkit.calibration.calibrate import (
 from labkit.calibration.photon_transfer import (
     ROUNDING_VARIANCE,
     UNKNOWN_NOISE_STD,
+    NoiseEstimate,
     usual_gain,
     usual_read_variance,
 )
@@ -267,7 +268,7 @@ def _observation(
         names=tuple(frame.file for frame in group),
         frames=frames,
         poses=poses,
-        noise=_noise(data[0], first),
+        noise=noise_prior(data[0].noise, first.full_light),
         places=pixels.places,  # the cut begins on an even row and column
         period=pixels.period,
         origin_px=(rows.start, columns.start),
@@ -305,12 +306,13 @@ def _measured(group: Sequence[Frame]) -> float | None:
     return float(np.mean(readings)) if readings else group[0].range_mm
 
 
-def _noise(data: ChannelData, mosaic: Photograph) -> NoisePrior:
-    """Return a prior for the noise from flats and darks, or a wide prior without them."""
-    noise = data.noise
+def noise_prior(noise: NoiseEstimate, white: float) -> NoisePrior:
+    """Return a prior for the noise from flats, darks and plan, or a wide prior without them.
+
+    white: counts above black at saturation
+    """
     gain = noise.gain
     read = noise.read_noise
-    white = mosaic.full_light
     gain_relative_std = (
         max(noise.gain_std / gain, 1e-3) if gain and noise.gain_std else UNKNOWN_NOISE_STD
     )

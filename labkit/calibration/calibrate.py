@@ -16,6 +16,7 @@ from labkit.calibration.falloff import Falloff
 from labkit.calibration.flats import flat_findings, pixel_response, reduce_flats
 from labkit.calibration.photon_transfer import NoiseEstimate, photon_transfer
 from labkit.calibration.stack import read_stack
+from labkit.calibration.stated_noise import UNMEASURED, noise_findings, with_stated
 from labkit.errors import DataError
 from labkit.findings import Finding, each_once, flats_of_another_range
 from labkit.photographs.photograph import WHOLE, Cut, Photograph
@@ -89,12 +90,16 @@ def calibrate(frames: Iterable[Frame], plan: Plan) -> Calibration:
         range_mm: reduce_flats(read_stack(group, plan.sensor), names, dark)
         for range_mm, group in by_range(kinds["flat"]).items()
     }
-    noise = {
+    measured = {
         name: photon_transfer(
             [scatter for flat in flats.values() for scatter in flat.scatter[name]],
             dark.scatter[name] if dark else (),
         )
         for name in names
+    }
+    noise = {
+        channel.name: with_stated(measured[channel.name], channel)
+        for channel in plan.channel
     }
     response = pixel_response(tuple(flats.values()), noise) if flats else None
     usable = dark.usable if dark else None
@@ -107,7 +112,11 @@ def calibrate(frames: Iterable[Frame], plan: Plan) -> Calibration:
         response_std=response.relative_std if response else None,
         usable=usable,
         noise=noise,
-        findings=(*dark_findings(kinds), *flat_findings(flats, noise)),
+        findings=(
+            *dark_findings(kinds),
+            *flat_findings(flats, noise),
+            *noise_findings(measured, plan.channel),
+        ),
         panel_seen=any(flat.panel is not None for flat in flats.values()),
     )
 
@@ -166,7 +175,7 @@ def channel_data(
         relative_std=factor_std,
         falloff=falloff,
         rounding=part.rounding_variance,
-        noise=calibration.noise.get(channel, NoiseEstimate(None, None, None, None)),
+        noise=calibration.noise.get(channel, UNMEASURED),
         findings=tuple(each_once(findings)),
     )
 

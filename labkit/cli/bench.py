@@ -322,7 +322,7 @@ def capture(
             warn=console.warn,
             check=not no_preflight,
         )
-    _report_capture(console, session, len(opened.frames))
+    _report_capture(console, opened)
 
 
 @contextmanager
@@ -392,16 +392,16 @@ def _report_complete(console: Console, session: Session) -> None:
         raise LabkitError(
             f"{session.folder} has all that the plan asks for, but {as_error(damage)}"
         )
-    _report_capture(
-        console, session.folder, len(session.frames), ", all that the plan asks for"
-    )
+    _report_capture(console, session, ", all that the plan asks for")
 
 
-def _report_capture(console: Console, session: Path, frames: int, remark: str = "") -> None:
-    from labkit.acquisition.sequence import fit_command
+def _report_capture(console: Console, session: Session, remark: str = "") -> None:
+    from labkit.acquisition.sequence import next_command
 
-    console.say(f"{session}: {frames} frames{remark}; next: {fit_command(session)}")
-    console.answer({"session": str(session), "frames": frames})
+    frames = len(session.frames)
+    command = next_command(session.plan, session.folder)
+    console.say(f"{session.folder}: {frames} frames{remark}; next: {command}")
+    console.answer({"session": str(session.folder), "frames": frames})
 
 
 @rail_app.command("calibrate")

@@ -26,6 +26,7 @@ COMMANDS = {
     "catalogue": {"catalogue", "compare", "history", "list"},
     "edges": {"edges"},
     "focus": {"camera"},
+    "noise": {"noise"},
     "restoring": {"restore"},
     "sessions": {
         *("advise", "demo", "fit", "import", "plan", "report", "study", "verify"),

@@ -7,11 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labkit.analysis.measured_camera import optics_behind
-from labkit.calibration.photon_transfer import (
-    UNKNOWN_NOISE_STD,
-    usual_gain,
-    usual_read_variance,
-)
+from labkit.analysis.observe import noise_prior
+from labkit.calibration.stated_noise import UNMEASURED, with_stated
 from labkit.edges.edge_fit import LensPrior
 from labkit.edges.ranges import FOCI, FocusLaw
 from labkit.estimation.climb import NoisePrior
@@ -51,9 +48,9 @@ def camera_of(
     white : counts above black at saturation
     focus_mm : range at which the lens is focused, for its working f-number
     """
-    noise = NoisePrior(
-        usual_gain(white), UNKNOWN_NOISE_STD, usual_read_variance(white), UNKNOWN_NOISE_STD
-    )
+    stated = next((of for of in plan.channel if of.name == channel), None)
+    estimate = UNMEASURED if stated is None else with_stated(UNMEASURED, stated)
+    noise = noise_prior(estimate, white)
     if results is None:
         optics = optics_of(plan, channel)
         f_number = optics.f_number

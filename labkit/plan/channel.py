@@ -26,6 +26,11 @@ WIDEST_LIGHT = 0.08
 SPECTRUM = "[[nm, weight], ...] with weights from 0, some above"
 ALLOWED_WAVELENGTH_NM = Allowed(100, 20_000)
 
+Noise = Annotated[Number, AfterValidator(Allowed(1e-6, 1e5))]
+NOISE_KEYS = {"gain_counts_per_e": "gain_std", "read_noise_counts": "read_noise_std"}
+STATED_GAIN, STATED_READ_NOISE = 0.01, 0.02
+"""Relative standard errors of a camera's noise that a plan states without one."""
+
 
 def _mean_nm(stated: Mapping[str, Any]) -> float:
     """Return the mean wavelength of a channel's light by its name; nan where no light is named for one of the colours."""
@@ -72,6 +77,33 @@ class Channel(Table):
     maximum; `"fit"` estimates it.
     """
 
+    gain_counts_per_e: Noise | None = None
+    """System gain at the session's ISO, counts per electron, as `labkit noise` measures it; a fit uses it in addition
+    to the session's own flats. Default: as the flats show.
+    """
+    gain_std: Noise | None = None
+    """Standard error of `gain_counts_per_e`. Default: 1 %."""
+    read_noise_counts: Noise | None = None
+    """Read noise in counts, without the rounding to whole counts, as `labkit noise` measures it. Default: as the darks
+    show.
+    """
+    read_noise_std: Noise | None = None
+    """Standard error of `read_noise_counts`. Default: 2 %."""
+
+    @property
+    def stated_gain(self) -> Uncertain | None:
+        """System gain with its error; None if the plan does not state it."""
+        gain = self.gain_counts_per_e
+        return None if gain is None else stated(gain, self.gain_std, STATED_GAIN)
+
+    @property
+    def stated_read_noise(self) -> Uncertain | None:
+        """Read noise with its error, counts; None if the plan does not state it."""
+        read = self.read_noise_counts
+        return (
+            None if read is None else stated(read, self.read_noise_std, STATED_READ_NOISE)
+        )
+
     @property
     def samples(self) -> tuple[list[float], list[float]]:
         """Wavelengths, nm, and weights of the spectrum. Raises ValueError where there is none."""
@@ -103,6 +135,11 @@ class Channel(Table):
     def _possible(self) -> Channel:
         self._check_light()
         refuse_larger(self, "wavelength_nm", "wavelength_std_nm")
+        for name, error in NOISE_KEYS.items():
+            if getattr(self, name) is not None:
+                refuse_larger(self, name, error)
+            elif getattr(self, error) is not None:
+                raise problem(f"{error} stands without {name}: state both, or neither")
         widest_nm = WIDEST_LIGHT * self.wavelength_nm
         if self.width_nm is not None and self.spectrum is not None:
             raise problem("width_nm stands beside spectrum: allowed is one of them")

@@ -19,6 +19,7 @@ from labkit.plan.tables import (
     DisplaySettings,
     FitSettings,
     Lens,
+    NoiseSettings,
     RailSettings,
     TargetSpec,
 )
@@ -61,6 +62,7 @@ class Plan(Table):
     about: About = About()
     camera: CameraSettings | None = None
     rail: RailSettings | None = None
+    noise: NoiseSettings | None = None
     display: DisplaySettings | None = None
 
     @classmethod

@@ -312,6 +312,28 @@ class CameraSettings(Table):
         return self
 
 
+Time = Annotated[Number, AfterValidator(Allowed(1e-6, 3600))]
+
+
+class NoiseSettings(Table):
+    """A photon-transfer series: with this table `labkit capture` takes darks and flats of several exposure times at the
+    first range, for `labkit noise`, and no photographs of the target."""
+
+    exposures_s: Annotated[
+        tuple[Time, ...], Field(min_length=5), Takes("five or more exposure times in s")
+    ]
+    """Exposure times of flats and darks, each once: 15 or more in even steps, the last one or two beyond saturation."""
+    frames_per_exposure: Annotated[Count, AfterValidator(Allowed(2, 1000, whole=True))] = 2
+    """Flats, and darks, at each exposure time."""
+
+    @field_validator("exposures_s")
+    @classmethod
+    def _once_each(cls, exposures_s: tuple[float, ...]) -> tuple[float, ...]:
+        if twice := repeated(exposures_s):
+            raise not_allowed(f"each exposure time once, not {twice[0]:g} twice")
+        return exposures_s
+
+
 class RailSettings(Table):
     """The rail: its address and stations. The range is `range_at_zero_mm` + `direction` × rail position."""
 

@@ -139,11 +139,21 @@ def read_rows(csv_path: Path, plan: Plan) -> list[Row]:
         if (first := first_line.setdefault(row.path, row.line)) != row.line:
             words = f"line {row.line}: {row.file} stands in line {first} already"
             problems.append((words, "already"))
-    if not problems and not any(row.kind == "target" for row in rows):
-        words = "no photograph of kind target: at least one is needed"
+    if not problems and not _targets(rows) and not _photon_transfer(rows):
+        words = "no photograph of kind target: at least one is needed, or flats and darks for labkit noise"
         problems.append((words, words))
     _refuse(csv_path, _each_once(problems, "lines"))
     return rows
+
+
+def _targets(rows: Sequence[Row]) -> bool:
+    return any(row.kind == "target" for row in rows)
+
+
+def _photon_transfer(rows: Sequence[Row]) -> bool:
+    """Whether the list is a photon-transfer series, whose flats may be as dark or as bright as any."""
+    kinds = Counter(row.kind for row in rows)
+    return not _targets(rows) and min(kinds["flat"], kinds["dark"]) > 1
 
 
 def _refuse(csv_path: Path, problems: list[str]) -> None:
@@ -252,6 +262,7 @@ def _check_photographs(
     checked: list[_Checked] = []
     problems: list[tuple[str, str]] = []
     first: Photograph | None = None
+    series = _photon_transfer(rows)
     for done, row in enumerate(rows):
         progress(done, 2 * len(rows), f"checking {row.file}")
         try:
@@ -263,11 +274,13 @@ def _check_photographs(
             first = mosaic
             if wrong := _channel_problem(mosaic, plan):
                 raise DataError(f"{csv_path}: {row.file}: {wrong}")
-        lit = row.kind in ("target", "flat")
+        lit = row.kind == "target" or (row.kind == "flat" and not series)
         altered = alterations(mosaic) if lit else Alterations()
-        problem = difference(mosaic, first) or exposure_problem(
-            mosaic, row.kind, (c.name for c in plan.channel)
-        )
+        problem = difference(mosaic, first)
+        if not (series and row.kind == "flat"):
+            problem = problem or exposure_problem(
+                mosaic, row.kind, (c.name for c in plan.channel)
+            )
         if problem := problem or altered.refusal:
             problems.append((f"{row.file} {problem}", problem))
         checked.append(_Checked(mosaic.exposure_s, mosaic.iso, mosaic.notes, altered.notes))

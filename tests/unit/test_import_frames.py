@@ -18,7 +18,8 @@ from labkit.plan import Plan
 from labkit.session.import_frames import import_frames
 from labkit.session.session import Session
 from labkit.session.verify import verify
-from tests.plans import PORTRAIT, RED_AND_GREEN, plan_text
+from tests.ladders import ladder
+from tests.plans import PORTRAIT, RED_AND_GREEN, SMALL, plan_text
 
 WriteDng = Callable[..., Path]
 
@@ -403,3 +404,18 @@ def test_a_plan_in_the_place_of_the_list_is_told(folder: Folder) -> None:
     plan, listed = folder.path / "plan.toml", folder.path / "frames.csv"
     with pytest.raises(InputError, match="give the list first"):
         import_frames(plan, listed, folder.path / "session")
+
+
+def test_flats_and_darks_alone_are_a_photon_transfer_series(tmp_path: Path) -> None:
+    series = ladder(tmp_path, 1, (1e-5, 0.3, 2.0))  # black, half full, full
+    listed = [
+        f"{frame.file},{frame.kind},,{frame.meta['columns']['exposure_s']}"
+        for frame in series.frames
+    ]
+    csv = tmp_path / "frames.csv"
+    csv.write_text("\n".join(["file,kind,range_mm,exposure_s", *listed]), encoding="utf-8")
+    levels = {"cfa_pattern": "mono", "black_level": 100, "white_level": 4095}
+    plan = Plan.parse(plan_text(SMALL, {"sensor": levels}))
+    session = import_frames(csv, plan, tmp_path / "session")
+    assert [frame.kind for frame in session.frames] == [f.kind for f in series.frames]
+    assert session.frames[0].meta["columns"] == {"exposure_s": "1e-05"}

@@ -24,6 +24,7 @@ LAYERS = {
     "estimation": ["estimation"],
     "subjects": [
         *("analysis", "advice", "restoration", "edges", "catalogue", "experiments"),
+        "noise",
     ],
     "faces": ["report", "demo", "cli"],
 }

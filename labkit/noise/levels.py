@@ -1,0 +1,325 @@
+"""Mean, temporal variance and spatial variance of flats and darks at each level of light.
+
+EMVA Standard 1288, *Standard for Characterization of Image Sensors and Cameras*, Release 4.0
+Linear (2021): sections 6.3 (pairs of frames) and 8.2 (averaged frames).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from math import isfinite
+
+import numpy as np
+from scipy import ndimage
+
+from labkit.calibration.masters import outliers, smooth_illumination
+from labkit.calibration.stack import Stack, read_stack
+from labkit.errors import DataError, shown
+from labkit.plan import Sensor
+from labkit.session.frame import Frame
+from labkit.types import Bools, Floats, Progress
+from labkit.uncertain import Uncertain
+
+LEAST_EVEN = 0.9
+"""Pixels that get less than this share of the brightest place's light are left out: saturation needs even light."""
+
+FEW_CLIPPED = 0.01
+"""Flats with a larger share of clipped pixels do not show where the light is even."""
+
+FILTER_PX = 11
+"""Side of the mean, in pixels of one colour, whose subtraction removes uneven light from spatial variances."""
+
+SAME_EXPOSURE = 0.01
+"""Exposure times that differ by less, relatively, are one time: cameras round them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Level:
+    """Frames of one exposure time and light, in one channel.
+
+    exposure_s; photons: mean for each pixel, None if unknown; signal: mean counts, of flats
+    above darks, of darks above the black level; variance: temporal, counts², rounding
+    included, with its standard error, both without hot pixels; spatial: variance of the
+    averaged frames beyond temporal noise and slow changes, of all pixels, counts²;
+    spatial_whole: with slow changes. means: mean counts of each frame; clipped:
+    share of clipped pixels; pixels: their number; files: names.
+    """
+
+    exposure_s: float
+    photons: float | None
+    signal: float
+    signal_std: float
+    variance: float
+    variance_std: float
+    spatial: Uncertain
+    spatial_whole: Uncertain
+    means: tuple[float, ...]
+    clipped: float
+    pixels: int
+    files: tuple[str, ...]
+
+    @property
+    def light(self) -> float:
+        """Photons where they are known, else the exposure time."""
+        return self.exposure_s if self.photons is None else self.photons
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """All levels of one channel, rising. dark_missing: exposures whose flats took other darks; white: counts above black."""
+
+    flats: tuple[Level, ...]
+    darks: tuple[Level, ...]
+    dark_missing: tuple[float, ...]
+    white: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Group:
+    """Frames of one exposure and light."""
+
+    exposure_s: float
+    photons: float | None
+    frames: tuple[Frame, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pixels:
+    """(rows, cols) pixels of a channel in even light: every one, and those that are not hot."""
+
+    name: str
+    every: Bools
+    steady: Bools
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Offset:
+    """counts: (rows, cols) to subtract; variance: of their own temporal noise."""
+
+    counts: Floats
+    variance: float
+
+
+def read_series(
+    frames: Sequence[Frame], sensor: Sensor, channels: Sequence[str], progress: Progress
+) -> dict[str, Series]:
+    """Return each channel's levels.
+
+    Raises RawError for a file that cannot be read, DataError for frames that do not suffice.
+    """
+    flats = _groups(frames, "flat")
+    darks = _groups(frames, "dark")
+    total = len(flats) + len(darks) + 1
+    progress(0, total, "looking where the light is even")
+    even, white = _even_light(flats, sensor, channels)
+    good = ~_hot(_stack(darks[-1], sensor))
+    pixels = {name: _Pixels(name, mask, mask & good) for name, mask in even.items()}
+    dark_levels: dict[str, list[Level]] = {name: [] for name in channels}
+    for done, group in enumerate(darks, start=1):
+        progress(done, total, f"reading darks of {group.exposure_s:g} s")
+        stack = _stack(group, sensor)
+        black = _Offset(stack.first.black_map, 0.0)
+        for name in channels:
+            dark_levels[name].append(_level(group, stack, pixels[name], black))
+    levels: dict[str, list[Level]] = {name: [] for name in channels}
+    missing = []
+    offset_of = -1
+    for done, group in enumerate(flats, start=len(darks) + 1):
+        progress(done, total, f"reading flats of {group.exposure_s:g} s")
+        apart_s = [abs(dark.exposure_s - group.exposure_s) for dark in darks]
+        k = int(np.argmin(apart_s))
+        if not _same(darks[k].exposure_s, group.exposure_s):
+            missing.append(group.exposure_s)
+        if k != offset_of:
+            offset = _mean(read_stack(darks[k].frames, sensor))
+            offset_of = k
+        stack = _stack(group, sensor)
+        for name in channels:
+            dark = dark_levels[name][k]
+            of = _Offset(offset, dark.variance / len(dark.means))
+            levels[name].append(_level(group, stack, pixels[name], of))
+    return {
+        name: Series(
+            tuple(sorted(levels[name], key=lambda level: level.light)),
+            tuple(dark_levels[name]),
+            tuple(dict.fromkeys(missing)),
+            white,
+        )
+        for name in channels
+    }
+
+
+def _hot(darks: Stack) -> Bools:
+    """Return the (rows, cols) pixels that are much brighter than others without light."""
+    mean = _mean(darks)
+    hot = np.zeros(mean.shape, dtype=np.bool_)
+    for plane in darks.first.every_plane:
+        values = mean[plane]
+        hot[plane] = outliers(values, np.ones(values.shape, dtype=np.bool_), least=1.0)
+    return hot
+
+
+def _same(one_s: float, other_s: float) -> bool:
+    return abs(one_s - other_s) <= SAME_EXPOSURE * max(one_s, other_s)
+
+
+def _groups(frames: Sequence[Frame], kind: str) -> list[_Group]:
+    """Return the frames of a kind by exposure and light. Raises DataError for missing frames and pairs."""
+    chosen = [frame for frame in frames if frame.kind == kind]
+    if not chosen:
+        raise DataError(
+            f"the session has no {kind}s: photon transfer needs two or more {kind}s at each of several "
+            "exposure times; [noise] in a plan has labkit capture take them"
+        )
+    sorted_ = sorted(chosen, key=lambda frame: (_exposure_s(frame), _photons(frame) or 0.0))
+    groups: list[list[Frame]] = []
+    for frame in sorted_:
+        last = groups[-1][0] if groups else None
+        if (
+            last is not None
+            and _same(_exposure_s(last), _exposure_s(frame))
+            and (kind == "dark" or _photons(last) == _photons(frame))
+        ):
+            groups[-1].append(frame)
+        else:
+            groups.append([frame])
+    if single := [group[0] for group in groups if len(group) < 2]:
+        times = ", ".join(f"{_exposure_s(frame):g} s" for frame in single[:5])
+        raise DataError(
+            f"{len(single)} exposure times have a single {kind} ({times}): photon transfer needs two or more "
+            f"{kind}s of each; take another, or leave {single[0].file} out"
+        )
+    light = kind == "flat"
+    return [
+        _Group(_exposure_s(g[0]), _photons(g[0]) if light else None, tuple(g))
+        for g in groups
+    ]
+
+
+def _exposure_s(frame: Frame) -> float:
+    """Return the exposure time that the list states, or else the file. Raises DataError without either."""
+    stated = _column(frame, "exposure_s")
+    seconds = frame.exposure_s if stated is None else stated
+    if seconds is None:
+        raise DataError(
+            f"{frame.file} states no exposure time: add a column exposure_s to the list and import it anew"
+        )
+    return seconds
+
+
+def _photons(frame: Frame) -> float | None:
+    return _column(frame, "photons")
+
+
+def _column(frame: Frame, name: str) -> float | None:
+    """Return a number of a further column of the imported list. Raises DataError for other text."""
+    text = frame.meta.get("columns", {}).get(name, "")
+    if not text:
+        return None
+    try:
+        number = float(text)
+    except ValueError:
+        number = -1.0
+    if not (isfinite(number) and number >= 0):
+        raise DataError(f"{frame.file}: {name} is {shown(text)}: allowed is a number >= 0")
+    return number
+
+
+def _even_light(
+    flats: Sequence[_Group], sensor: Sensor, channels: Sequence[str]
+) -> tuple[Mapping[str, Bools], float]:
+    """Return where each channel's light is within LEAST_EVEN of its brightest, and the counts of white above black.
+
+    Raises DataError where all flats are clipped.
+    """
+    for group in sorted(
+        flats, key=lambda g: (g.exposure_s, g.photons or 0.0), reverse=True
+    ):
+        stack = _stack(group, sensor)
+        masks = {name: stack.first.channel_mask(name) for name in channels}
+        if all(stack.saturated[mask].mean() < FEW_CLIPPED for mask in masks.values()):
+            break
+    else:
+        raise DataError(
+            f"all flats are clipped, those of {group.exposure_s:g} s too: take flats of shorter exposures, "
+            "or with less light"
+        )
+    light = _mean(stack) - stack.first.black_map
+    for name in channels:
+        for plane in stack.first.planes(name):
+            even = smooth_illumination(light[plane], ~stack.saturated[plane])
+            relative = np.where(even.lit, even.relative, 0.0)
+            masks[name][plane] = relative > LEAST_EVEN * np.percentile(relative, 99)
+    return masks, stack.first.full_light
+
+
+def _stack(group: _Group, sensor: Sensor) -> Stack:
+    """Read the frames of a level. Raises DataError for processed pictures and copies of a frame."""
+    stack = read_stack(group.frames, sensor)
+    first = group.frames[0]
+    if stack.first.tone is not None:
+        raise DataError(
+            f"{first.file} is a processed picture, whose noise is no sensor's: photon transfer needs raw files, "
+            "or TIFF, PNG or PGM of linear counts"
+        )
+    copies = len({frame.sha256 for frame in group.frames}) < len(group.frames)
+    if copies and not stack.saturated.all():
+        raise DataError(
+            f"the {first.kind}s of {group.exposure_s:g} s hold copies of one photograph, such as {first.file}: "
+            "photon transfer needs separate exposures"
+        )
+    return stack
+
+
+def _mean(stack: Stack) -> Floats:
+    return np.asarray(stack.counts.mean(axis=0, dtype=np.float64))
+
+
+def _level(group: _Group, stack: Stack, used: _Pixels, offset: _Offset) -> Level:
+    light = _mean(stack) - offset.counts
+    where = used.steady
+    means = np.array([counts[where].mean() for counts in stack.counts])
+    means -= offset.counts[where].mean()
+    lit = group.frames[0].kind == "flat" and bool(means.min() > 0)
+    pairs = next(stack.scatter(where, offset.counts, lit=lit))
+    variance = float(pairs.variance.mean())
+    pixels = int(np.count_nonzero(where))
+    planes = [(light[p], used.every[p]) for p in stack.first.planes(used.name)]
+    rough = np.concatenate([_high_pass(*plane) for plane in planes])
+    whole = np.concatenate([values[at] - values[at].mean() for values, at in planes])
+    temporal = variance / len(means) + offset.variance
+    return Level(
+        exposure_s=group.exposure_s,
+        photons=group.photons,
+        signal=float(means.mean()),
+        signal_std=float(np.sqrt(variance / len(means) / pixels)),
+        variance=variance,
+        variance_std=float(pairs.variance.std() / np.sqrt(pairs.variance.size)),
+        spatial=_beyond(rough**2 / (1 - 1 / FILTER_PX**2), temporal),
+        spatial_whole=_beyond(whole**2, temporal),
+        means=tuple(means.tolist()),
+        clipped=float(stack.saturated[where].mean()),
+        pixels=pixels,
+        files=tuple(frame.file for frame in group.frames),
+    )
+
+
+def _beyond(squares: Floats, temporal: float) -> Uncertain:
+    """Return the mean of squares beyond temporal noise, with its standard error."""
+    std = float(squares.std() / np.sqrt(squares.size))
+    return Uncertain(float(squares.mean()) - temporal, std)
+
+
+def _high_pass(values: Floats, where: Bools) -> Floats:
+    """Return (m,) values of the pixels `where`, less the mean of FILTER_PX x FILTER_PX neighbours."""
+    weight = ndimage.uniform_filter(where.astype(np.float64), FILTER_PX, mode="constant")
+    total = ndimage.uniform_filter(np.where(where, values, 0.0), FILTER_PX, mode="constant")
+    return np.asarray(values[where] - total[where] / weight[where])
+
+
+def each_frame(levels: Sequence[Level]) -> Iterator[tuple[float, float, str]]:
+    """Yield exposure, mean counts and file of each frame."""
+    for level in levels:
+        for mean, file in zip(level.means, level.files, strict=True):
+            yield level.exposure_s, mean, file
