@@ -11,7 +11,7 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from labkit.errors import InputError, SessionError
 
@@ -43,12 +43,22 @@ def write_atomically(path: Path, content: bytes) -> None:
 
     Raises InputError if the file cannot be written.
     """
+    with replacing(path) as file:
+        file.write(content)
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[BinaryIO]:
+    """Open a file that takes the place of `path` when the block ends without an exception.
+
+    Raises InputError if the file cannot be written.
+    """
     beside = path.with_name(f".{path.name}.{os.getpid()}.part")
     with writing(path):
         beside.unlink(missing_ok=True)
         try:
-            with beside.open("xb") as file:  # never through a link
-                file.write(content)
+            with beside.open("x+b") as file:  # never through a link
+                yield file
                 file.flush()
                 os.fsync(file.fileno())
             beside.replace(path)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,8 @@ import tifffile
 from PIL import Image
 
 from labkit.errors import InputError
-from labkit.files import write_atomically, writing
+from labkit.files import replacing, write_atomically, writing
+from labkit.restoration.canvas import BAND_ROWS, Canvas
 from labkit.types import Floats32
 
 RESTORED, STD, SHOWN, RESTORATION_JSON, SIXTEEN = (
@@ -24,6 +25,7 @@ RESTORED, STD, SHOWN, RESTORATION_JSON, SIXTEEN = (
     "restored16.tif",
 )
 WHITEST = 99.7  # percentile of a colour that the picture to look at shows as white
+WHITE_16 = 65535
 MOST_SHOWN_PX = 4096  # longer sides are shown smaller
 
 
@@ -35,41 +37,44 @@ def refuse_full(folder: Path) -> None:
         )
 
 
-def write(
-    folder: Path,
-    scene: Floats32,
-    std: Floats32 | None,
-    about: Mapping[str, Any],
-    white: float | None,
-) -> None:
-    """Write a scene (colours, rows, columns), its errors, and what is to be said of it, that last.
-
-    white: counts above black that 16-bit numbers reach to; None for no such file. Raises InputError.
-    """
+def made(folder: Path) -> Path:
+    """Return a folder, made if necessary. Raises InputError."""
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    write_atomically(folder / RESTORED, _tiff(np.moveaxis(scene, 0, -1)))
-    if std is not None:
-        write_atomically(folder / STD, _tiff(np.moveaxis(std, 0, -1)))
+    return folder
+
+
+def write(
+    folder: Path, canvas: Canvas, about: Mapping[str, Any], white: float | None
+) -> None:
+    """Write a scene, its errors if there are some, and `about`, last.
+
+    Parameters
+    ----------
+    folder : to write to, made if necessary
+    canvas : scene and errors
+    about : content of restore.json
+    white : counts above black that 16-bit numbers reach to; None for no such file
+
+    Raises
+    ------
+    InputError
+    """
+    made(folder)
+    _write_tiff(folder / RESTORED, canvas, 0)
+    if canvas.shape[0] > 1:
+        _write_tiff(folder / STD, canvas, 1)
     if white is not None:
-        whole = np.nan_to_num(scene, nan=white) * (65535 / white)
-        write_atomically(
-            folder / SIXTEEN,
-            _tiff(np.moveaxis(np.clip(np.rint(whole), 0, 65535).astype(np.uint16), 0, -1)),
-        )
-    write_atomically(folder / SHOWN, picture(scene))
-    write_atomically(
-        folder / RESTORATION_JSON,
-        json.dumps(dict(about), indent=1, allow_nan=False).encode() + b"\n",
-    )
+        _write_tiff(folder / SIXTEEN, canvas, 0, white)
+    step = -(-max(canvas.shape[2:]) // MOST_SHOWN_PX)
+    write_atomically(folder / SHOWN, picture(canvas.opened()[0, :, ::step, ::step]))
+    content = json.dumps(dict(about), indent=1, allow_nan=False).encode() + b"\n"
+    write_atomically(folder / RESTORATION_JSON, content)
 
 
 def picture(scene: Floats32) -> bytes:
     """Return the PNG of a scene, each colour up to its own brightest parts, in sRGB; unknown samples are white."""
-    step = -(-max(scene.shape[1:]) // MOST_SHOWN_PX)
-    shown = scene[:, ::step, ::step]
-    if len(shown) not in (1, 3):
-        shown = shown[:1]
+    shown = scene if len(scene) in (1, 3) else scene[:1]
     whites = [
         max(float(np.nanpercentile(colour, WHITEST)), 1e-6)
         if np.isfinite(colour).any()
@@ -90,18 +95,26 @@ def picture(scene: Floats32) -> bytes:
     return file.getvalue()
 
 
-def _tiff(numbers: np.ndarray[Any, Any]) -> bytes:
-    file = io.BytesIO()
-    colours = numbers.shape[-1]
-    kind, planar = (
-        "rgb" if colours == 3 else "minisblack",
-        "contig" if colours > 1 else None,
-    )
-    tifffile.imwrite(
-        file,
-        np.ascontiguousarray(numbers),
-        photometric=kind,
-        planarconfig=planar,
-        metadata=None,
-    )
-    return file.getvalue()
+def _write_tiff(path: Path, canvas: Canvas, layer: int, white: float | None = None) -> None:
+    """Write a layer in strips, as 32-bit numbers, or as 16-bit numbers up to `white`."""
+    _, colours, rows, columns = canvas.shape
+
+    def strips() -> Iterator[np.ndarray[Any, Any]]:
+        for band in canvas.bands(layer):
+            strip = np.moveaxis(band, 0, -1)
+            if white is not None:
+                whole = np.nan_to_num(strip, nan=white) * (WHITE_16 / white)
+                strip = np.clip(np.rint(whole), 0, WHITE_16).astype(np.uint16)
+            yield np.ascontiguousarray(strip)
+
+    with replacing(path) as file:
+        tifffile.imwrite(
+            file,
+            strips(),
+            shape=(rows, columns, colours),
+            dtype=np.float32 if white is None else np.uint16,
+            photometric="rgb" if colours == 3 else "minisblack",
+            planarconfig="contig" if colours > 1 else None,
+            rowsperstrip=BAND_ROWS,
+            metadata=None,
+        )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -14,11 +15,13 @@ import numpy as np
 from labkit.analysis.measured_camera import optics_behind
 from labkit.calibration.calibrate import calibrate
 from labkit.errors import DataError
+from labkit.execute import Workers
 from labkit.key import same_range
 from labkit.optics.lens import blur_per_wave_um
 from labkit.plan.sensor import MONO
 from labkit.restoration import output
 from labkit.restoration.blind import SPAN_WAVES, fitted_defocus
+from labkit.restoration.canvas import Canvas
 from labkit.restoration.colours import colour_coupling
 from labkit.restoration.exposures import Shot, read_shot, refuse_other_camera
 from labkit.restoration.job import Area, Colour, Job, begun_at
@@ -182,16 +185,18 @@ def _restore(
     size = planned_tiles(job, wanted.tile_px, wanted.memory_gb, wanted.workers)
     say(str(size))
     white = first.photograph.full_light
-    std = None
     if wanted.baseline is None:
-        picture = restore_job(
-            job, wanted.strength, size.tile_px, 2 * job.guard_px, size.workers, progress
-        )
-        scene = picture.scene
-        std = picture.std
+        overlap_px = 2 * job.guard_px
+        folder = output.made(out) if size.tiles > 1 else None
+        canvas_in = partial(Canvas, folder=folder)
+        with Workers(size.workers) as run:
+            picture = restore_job(
+                job, wanted.strength, size.tile_px, overlap_px, run, progress, canvas_in
+            )
+        canvas = picture.canvas
         more = _about(picture, notes)
     else:
-        scene = wanted.baseline(job)
+        canvas = Canvas.of(wanted.baseline(job)[None])
         more = {"lambda": None, "method": wanted.method}
     about = {
         "schema": 1,
@@ -208,14 +213,14 @@ def _restore(
         "white_counts": white,
         "notes": notes,
     }
-    output.write(out, scene, std, about, white if wanted.sixteen_bit else None)
+    output.write(out, canvas, about, white if wanted.sixteen_bit else None)
     return Restoration(out, about, tuple(notes))
 
 
 def _about(picture: Picture, notes: list[str]) -> dict[str, Any]:
     """Return the part of restore.json on the restoration itself, and note doubts."""
-    rules = float(np.nanmean(picture.by_penalty > 0.5))
-    unknown = float(np.mean(np.isnan(picture.scene)))
+    unknown = picture.unknown
+    rules = picture.penalty_rules
     if rules > PENALTY_RULES:
         notes.append(
             f"in {100 * rules:.0f} % of the samples the penalty rules: more than half of their error's variance is what it "
@@ -233,7 +238,7 @@ def _about(picture: Picture, notes: list[str]) -> dict[str, Any]:
             "roughness": picture.norm.roughness,
         },
         "chi2_per_pixel": picture.chi2_per_pixel,
-        "penalty_share": float(np.nanmedian(picture.by_penalty)),
+        "penalty_share": picture.penalty_share,
         "penalty_rules": rules,
         "unknown": unknown,
         "tiles": picture.tiles,

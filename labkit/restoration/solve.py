@@ -19,7 +19,8 @@ from labkit.restoration.views import Views
 from labkit.types import AnyComplexes, AnyFloats, Floats, Floats32
 
 MOST_STEPS = 12
-MOST_TURNS = 15
+MOST_TURNS = 8
+TURN_TOLERANCE = 3e-3  # of a turn's equations, which begin at the last turn's solution
 MOST_HALVINGS = 7
 PULL = 0.02  # of the data's curvature for an even scene
 OVER = 1.6  # relaxation: between 1.5 and 1.8 is usual
@@ -169,7 +170,8 @@ class Solver:
         for _ in range(MOST_TURNS):
             called = self.grid.spectrum(pull * (kept - multiplier) - beside)
             free = self.kriging.stiffness.inverse(called)
-            self.planes = self.kriging.solve(data - self.views.means(free), self.planes)
+            left = data - self.views.means(free)
+            self.planes = self.kriging.solve(left, self.planes, TURN_TOLERANCE)
             scene = self.grid.image(free + self.kriging.scene(self.planes))
             relaxed = np.float32(OVER) * scene + np.float32(1 - OVER) * kept
             before = kept

@@ -30,9 +30,11 @@ class TilePlan:
 
     @property
     def gigabytes(self) -> float:
-        """Memory of the picture and of the tiles under way."""
+        """Memory of the tiles under way, and of a picture of one tile; a larger picture is in a file."""
         job = self.job
-        picture = 8.0 * len(job.colours) * math.prod(job.shape) * job.samples**2
+        picture = 0.0
+        if self.tiles == 1:
+            picture = 12.0 * len(job.colours) * math.prod(job.shape) * job.samples**2
         tile = memory_bytes(job, self.tile_px, 2 * job.guard_px)
         return (picture + self.workers * tile) / GB
 

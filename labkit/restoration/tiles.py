@@ -6,6 +6,7 @@ A photograph of one tile is the plain problem. Lenses that differ from tile to t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -14,7 +15,9 @@ from typing import TypeVar
 import numpy as np
 from scipy import ndimage
 
-from labkit.execute import run_all
+from labkit.execute import Run, Workers
+from labkit.restoration.calibration import calibrate_errors
+from labkit.restoration.canvas import BAND_ROWS, Canvas
 from labkit.restoration.errors import standard_errors
 from labkit.restoration.job import Area, Job
 from labkit.restoration.roughness import Norm, Roughness
@@ -31,6 +34,7 @@ BYTES_A_SAMPLE, BYTES_A_PLANE = 130, 12  # of a tile's scene, for each colour an
 LEAST_ROWS, LEAST_CELLS = 96, 24  # of the torus that errors are computed on
 USUAL_STEPS = 6  # of Newton, on both grids together
 REACH_CELLS = 1.5  # distance to a used count beyond which the scene is unknown
+HALF, MOST_LOOKED_AT = 0.5, 2048
 RICH = 0.8  # least share of used counts of an area whose contrast counts
 
 
@@ -43,37 +47,52 @@ class Picture:
 
     Attributes
     ----------
-    layers : (3, colours, rows, columns) of fine samples: scene and standard error, counts above black, and the penalty's
+    canvas : (3, colours, rows, columns) of fine samples: scene and standard error, counts above black, and the penalty's
         share of the variance, see `standard_errors`; nan where unknown
     strength : lambda of the whole
     stiffness, chosen_by : as of `Strength`
     chi2_per_pixel : of used counts
     norm : of the scene
     tiles : their number
+    unknown : share of samples without a used count near
     """
 
-    layers: Floats32
+    canvas: Canvas
     strength: float
     stiffness: float
     chosen_by: str
     chi2_per_pixel: float
     norm: Norm
     tiles: int
+    unknown: float
 
     @property
     def scene(self) -> Floats32:
         """(colours, rows, columns) counts above black."""
-        return np.asarray(self.layers[0])
+        return np.asarray(self.canvas.opened()[0])
 
     @property
     def std(self) -> Floats32:
         """(colours, rows, columns) standard errors."""
-        return np.asarray(self.layers[1])
+        return np.asarray(self.canvas.opened()[1])
 
     @property
     def by_penalty(self) -> Floats32:
         """(colours, rows, columns) share of the variance by the penalty."""
-        return np.asarray(self.layers[2])
+        return np.asarray(self.canvas.opened()[2])
+
+    @property
+    def penalty_rules(self) -> float:
+        """Share of samples whose variance is the penalty's by more than half."""
+        counts = [(np.sum(b > HALF), np.isfinite(b).sum()) for b in self.canvas.bands(2)]
+        rules, every = np.sum(counts, axis=0)
+        return float(rules / max(every, 1))
+
+    @property
+    def penalty_share(self) -> float:
+        """Median share of the variance by the penalty, of some samples of a large picture."""
+        step = -(-max(self.canvas.shape[2:]) // MOST_LOOKED_AT)
+        return float(np.nanmedian(self.by_penalty[:, ::step, ::step]))
 
 
 @dataclass(frozen=True)
@@ -101,8 +120,9 @@ def restore_job(
     strength: float | Choice,
     tile_px: int,
     overlap_px: int,
-    workers: int = 1,
+    run: Run | None = None,
     progress: Progress = no_progress,
+    make_canvas: Callable[[tuple[int, ...]], Canvas] = Canvas,
 ) -> Picture:
     """Restore a scene.
 
@@ -111,14 +131,14 @@ def restore_job(
     job : photographs and lenses
     strength : lambda, or how to choose it
     tile_px, overlap_px : a tile's side, and its overlap with others
-    workers : number of processes
+    run : where tiles are restored; None for this process
     progress : called with the step under way
+    make_canvas : makes the picture, of a shape, that tiles are added to; in memory by default
     """
+    here = run or Workers(1)
     areas = list(tiles(job.shape, tile_px, overlap_px, job.period))
     alone = len(areas) == 1
-    samples = job.samples
-    total = USUAL_STEPS + 1 if alone else len(areas) + 1
-    progress(0, total, "choosing how smooth")
+    progress(0, USUAL_STEPS + 1 if alone else len(areas) + 1, "choosing how smooth")
     if isinstance(strength, Choice):
         rng = np.random.default_rng(TRACE_SEED)
         by_hand = 0.0
@@ -128,32 +148,64 @@ def restore_job(
         chosen = Strength(2 * strength / guessed_square(job), "hand")
     lambda_ = by_hand if alone else 0.0
     tasks = [Task(job.cut(area), lambda_, chosen.stiffness) for area, _ in areas]
-    rows, columns = job.shape
-    size = 3, len(job.colours), rows * samples, columns * samples
-    layers = np.zeros(size, np.float32)
-    done = list[Part]()
-    for index, part in _parts(tasks, workers, progress):
-        done.append(part)
-        area, weight = areas[index]
-        fine = tuple(slice(samples * of.start, samples * of.stop) for of in area)
-        layers[:, :, *fine] += _enlarged(weight.astype(np.float32), samples) * part.layers
-        words = f"tile {len(done)} of {len(areas)}"
-        progress(total if alone else len(done), total, words)
-    unknown = ~known(job)
-    layers[:, _enlarged(unknown, samples)] = np.nan
-    norm = _together(done, float(np.mean(~unknown)) * rows * columns)
+    rows, columns = (job.samples * side for side in job.shape)
+    canvas = make_canvas((3, len(job.colours), rows, columns))
+    done = _blended(canvas, areas, tasks, here, progress)
+    unknown = _hide_unknown(canvas, job)
+
+    def restored(tests: Sequence[Job]) -> Iterator[tuple[int, Floats32]]:
+        again = [Task(test, 0.0, chosen.stiffness) for test in tests]
+        for index, part in here(restore_tile, again):
+            yield index, part.layers
+
+    calibrate_errors(canvas, job, restored)
+    norm = _together(done, (1 - unknown) * math.prod(job.shape))
     chi2 = sum(part.chi2 for part in done) / max(sum(part.counts for part in done), 1)
     found = by_hand or 0.5 * chosen.stiffness * norm.square
     how = chosen.stiffness, chosen.chosen_by
-    return Picture(layers, found, *how, chi2, norm, len(areas))
+    return Picture(canvas, found, *how, chi2, norm, len(areas), unknown)
+
+
+def _blended(
+    canvas: Canvas,
+    areas: Sequence[tuple[Area, Floats]],
+    tasks: Sequence[Task],
+    run: Run,
+    progress: Progress,
+) -> list[Part]:
+    """Add all tiles to a picture; return them without their layers."""
+    done = list[Part]()
+    samples = tasks[0].job.samples
+    for index, part in _parts(tasks, run, progress):
+        done.append(replace(part, layers=np.empty(0, np.float32)))
+        area, weight = areas[index]
+        fine = tuple(slice(samples * of.start, samples * of.stop) for of in area)
+        share = _enlarged(weight.astype(np.float32), samples)
+        canvas.opened()[:, :, *fine] += share * part.layers
+        total = USUAL_STEPS + 1 if len(tasks) == 1 else len(tasks) + 1
+        words = f"tile {len(done)} of {len(tasks)}"
+        progress(total if len(tasks) == 1 else len(done), total, words)
+    return done
+
+
+def _hide_unknown(canvas: Canvas, job: Job) -> float:
+    """Set samples without a used count near to nan; return their share."""
+    unknown = ~known(job)
+    if not unknown.any():
+        return 0.0
+    for first in range(0, job.shape[0], BAND_ROWS):
+        some = _enlarged(unknown[:, first : first + BAND_ROWS], job.samples)
+        start = first * job.samples
+        canvas.opened()[:, :, start : start + some.shape[1]][:, some] = np.nan
+    return float(np.mean(unknown))
 
 
 def _parts(
-    tasks: Sequence[Task], workers: int, progress: Progress
+    tasks: Sequence[Task], run: Run, progress: Progress
 ) -> Iterator[tuple[int, Part]]:
     """Yield each tile's part with its number; a picture of one tile reports its steps."""
     if len(tasks) > 1:
-        yield from run_all(restore_tile, tasks, workers)
+        yield from run(restore_tile, tasks)
         return
     steps = 0
 

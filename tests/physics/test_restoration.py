@@ -209,10 +209,10 @@ def test_where_the_penalty_is_weak_truth_lies_within_the_stated_errors(seed: int
     # a scene as rough as the penalty supposes, sampled well: every pixel of a mono sensor, no defocus, much light. It has no
     # negative radiance, as one of three times this contrast has here and there: a camera does not photograph that
     rng = np.random.default_rng(seed)
-    base = job(np.zeros((64, 64)), samples=1, places=((0, 0),), guard_px=8)
+    base = job(np.zeros((96, 96)), samples=1, places=((0, 0),), guard_px=8)
     sharp = replace(base.colours[0], waves=0 * base.colours[0].waves)
     base = replace(base, period=1, colours=(sharp,))
-    views = base.views((slice(0, 64), slice(0, 64)))
+    views = base.views((slice(0, 96), slice(0, 96)))
     assert views is not None
     noise = np.fft.rfft2(rng.normal(size=views.grid.shape).T).T
     frequency = np.sqrt(views.grid.squared_frequency) + 0.05
@@ -223,7 +223,7 @@ def test_where_the_penalty_is_weak_truth_lies_within_the_stated_errors(seed: int
     shown = replace(
         base, photographs=(replace(base.photographs[0], counts=exposed(counts, seed)),)
     )
-    picture = restore_job(shown, DISCREPANCY, 64, 0)
+    picture = restore_job(shown, DISCREPANCY, 96, 0)
     apart = np.abs(picture.scene[0] - scene[0][views.grid.inner]) / picture.std[0]
     weak = picture.by_penalty[0] < 0.5
     assert weak.mean() > 0.5
