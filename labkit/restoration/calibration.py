@@ -25,7 +25,7 @@ RIM = 8  # of a part's side: a rim of an eighth is left out
 SLOPES_PX = 1.0  # standard deviation of the neighbourhood whose slopes count
 ONE_STD = 0.6827  # of a normal distribution within one standard deviation
 TEST_SEED = 2
-TINY = np.finfo(np.float32).tiny
+LEAST_SLOPES = np.finfo(np.float32).tiny
 
 
 def squared_slopes(scene: Floats32, samples: int) -> Floats32:
@@ -39,7 +39,7 @@ def squared_slopes(scene: Floats32, samples: int) -> Floats32:
 def localised(layers: Floats32, slopes: Floats32, mean: Floats) -> Floats32:
     """Return the three layers of a picture with errors by its slopes. mean: (colours,) of the slopes of all of the picture."""
     scene, std, by_penalty = layers
-    rougher = np.nan_to_num(slopes / np.maximum(mean, TINY)[:, None, None], nan=1.0)
+    rougher = np.nan_to_num(slopes / np.maximum(mean, LEAST_SLOPES)[:, None, None], nan=1.0)
     noise = 1 - by_penalty
     penalty = rougher * by_penalty
     both = noise + penalty
