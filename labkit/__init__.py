@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from labkit.advice.advise import advise
     from labkit.analysis.fit import fit
     from labkit.analysis.image import fit_image
+    from labkit.analysis.reprocess import reprocess
     from labkit.calibration.tone_wedge import measure_tone
     from labkit.catalogue.sessions import (
         compare_sessions,
@@ -78,6 +79,7 @@ _PLACES = {
     "open_target": "target",
     "rebuild_catalogue": "catalogue.sessions",
     "render_target": "target_file",
+    "reprocess": "analysis.reprocess",
     "restore": "restoration.scenes",
     "run_demo": "demo",
     "run_study": "experiments.runner",
@@ -116,6 +118,7 @@ __all__ = [
     "open_target",
     "rebuild_catalogue",
     "render_target",
+    "reprocess",
     "restore",
     "run_demo",
     "run_study",

@@ -7,8 +7,10 @@ LabkitError                 something failed: one line, exit status 1
 │   ├── RawError            a file that is no usable photograph
 │   ├── TargetError         a target that cannot be made or is not in the frame
 │   └── DataError           frames that do not suffice for the request
+│       └── NewerError      results that a newer labkit made
 ├── FitError                an estimate that failed
-├── LostTasksError          work whose processes were killed, or that lacked memory
+├── LostTasksError          tasks that failed, were killed, or lacked memory
+├── WorkersError            the workers, or their scheduler, are gone or of no use
 └── DeviceError             a device did not obey
     ├── DeviceTimeoutError
     ├── CameraError
@@ -69,12 +71,20 @@ class DataError(InputError):
     """The frames do not suffice for the request."""
 
 
+class NewerError(DataError):
+    """Results that a newer labkit made, which this one must not replace."""
+
+
 class FitError(LabkitError):
     """An estimate did not come about."""
 
 
+class WorkersError(LabkitError):
+    """The workers, or their scheduler, are gone or of no use; the message says what to do."""
+
+
 class LostTasksError(LabkitError):
-    """Tasks did not finish, even when each ran alone. lost: each task and the reason."""
+    """Tasks failed, or did not finish even when each ran alone. lost: each task and the reason."""
 
     def __init__(self, lost: Sequence[tuple[Any, str]]) -> None:
         self.lost = tuple(lost)

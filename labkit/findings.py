@@ -144,7 +144,8 @@ TEXTS = {
     "flats-partly-unlit": "flat frames{where} leave {unlit:.0%} of the frame unlit: this part is not used",
     "gain-not-measured": "no range has two flat frames: gain is not measured, and equal pixels are assumed",
     # each fit
-    "fit-left-out": "{note}, or with fewer --workers; completed fits are kept",
+    "results-corrupt": "results.json could not be read; it is set aside as {aside}",
+    "fit-left-out": "{note}; completed fits are kept",
     "search-cut-short": (
         "{where}: the search ended after {patience_s:g} s of processor time and {starts} starts without an accepted "
         "optimum; the likeliest is kept, a longer --patience searches further"

@@ -22,6 +22,7 @@ from labkit.results import (
     Wavefront,
 )
 from labkit.results.common import CommonNumbers, StatedNumber
+from labkit.results.made_from import MadeFrom
 from labkit.results.model import OtherOptimum, PartTried, ResidualSpectrum
 from labkit.uncertain import Uncertain
 from tests.plans import PORTRAIT, plan_text
@@ -169,6 +170,7 @@ def full_results() -> Results:
         ),
         common=COMMON,
         joint={"focal_length_mm": 0.1},
+        made_from=MadeFrom("0" * 64, "1" * 64, ranges_mm=(3000.0,), patience_s=120.0),
         model_parts={
             "low_pass_filter.spread_px": Uncertain(0.55, 0.01, "px"),
             "blades_7.turn_deg": Uncertain(5.7, 0.4, "deg"),

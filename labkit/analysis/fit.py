@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import replace
 from math import inf
@@ -13,6 +14,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from labkit.analysis.common_numbers import common_numbers
+from labkit.analysis.inputs import made_from, of_frames
 from labkit.analysis.kept_fits import FOLDER, KeptFits
 from labkit.analysis.observe import observe, selected
 from labkit.analysis.session_findings import findings_of
@@ -33,7 +35,7 @@ from labkit.estimation.observation import Observation
 from labkit.estimation.searches import fit_task
 from labkit.estimation.session import estimate
 from labkit.estimation.split import Change, find_change
-from labkit.execute import Run, Workers, default_workers
+from labkit.execute import Executed, Run, Workers, default_workers
 from labkit.findings import (
     Finding,
     each_once,
@@ -50,7 +52,8 @@ from labkit.panel.seen_pixels import (
 from labkit.panel.target_pixels import as_shown, pixels_per_cell
 from labkit.plan import Plan
 from labkit.results import Results
-from labkit.results.storage import kept_keys
+from labkit.results.made_from import MadeFrom
+from labkit.results.storage import kept_keys, set_aside_corrupt
 from labkit.session.body_filters import with_body_filters
 from labkit.session.fit_lock import fitted_alone
 from labkit.session.session import Session
@@ -76,12 +79,13 @@ def fit(
     channels: Channels = None,
     noll: tuple[int, int] | None = None,
     workers: int | None = None,
-    run: Run | None = None,
+    run: Run | Executor | None = None,
     name: str | None = None,
     patience_s: float = inf,
     joint: bool = False,
     split: bool = False,
     plain: bool = False,
+    accept_failed: bool = False,
     progress: Progress = no_progress,
 ) -> Results:
     """Estimate every wavefront of a session and the best focus over them, and write SESSION/results/NAME.
@@ -93,12 +97,13 @@ def fit(
     ranges_mm, channels : ranges and channels to fit; None for all
     noll : first and last mode, instead of the plan's
     workers : number of processes, by default one for each core; results do not depend on the number
-    run : maps the fits' tasks, in place of `workers` processes of this machine: see `labkit.execute.Run`
+    run : an executor of `concurrent.futures`, or any `labkit.execute.Run`, in place of `workers` processes of this machine
     name : name of the results; by default "latest", or for some ranges or channels their names
     patience_s : processor time after which the search for one wavefront makes no further start
     joint : whether to climb over all frames at once in the end
     split : whether to write NAME-before and NAME-after in addition if the lens changed during the session
     plain : whether to keep to the plan's camera although the photographs show more parts
+    accept_failed : whether results without fits that failed are accepted: else `Results.unanswered` names those fits
     progress : called with the step under way
 
     Returns
@@ -116,6 +121,9 @@ def fit(
 
     >>> results = labkit.fit("night-3", channels="G", noll=(4, 22), name="22-modes")
     """
+    settings = made_from(
+        ranges_mm, channels, noll, patience_s, joint, split, plain, plan is None
+    )
     session, plan, checksum = _opened(session, plan, noll)
     frames, names = selected(session.frames, plan, ranges_mm, channels)
     keys = {Key(frame.range_mm, name) for frame in frames for name in names}
@@ -145,10 +153,13 @@ def fit(
             if joint and fits.lens is not None:
                 together = refit_jointly(fits, shown, kept, steps.before)
             change = find_change(fits)
-        noted = _noted(session, plan, [*assumed, *kept.findings], change)
+        noted = _noted(
+            session, plan, [*assumed, *kept.findings, *_set_aside(folder)], change
+        )
 
         def results_of(fits: Estimate, wanted: bool = True) -> Results:
-            return _results(fits, plan, checksum, noted, patience_s, wanted)
+            made = of_frames(settings, session, fits.lost, accept_failed)
+            return _results(fits, plan, checksum, noted, made, wanted)
 
         every = {"": results_of(fits, ranges_mm is None)}
         if together is not None:
@@ -161,9 +172,11 @@ def fit(
 
 
 @contextmanager
-def _running(run: Run | None, workers: int, steps: Steps) -> Iterator[Run]:
+def _running(run: Run | Executor | None, workers: int, steps: Steps) -> Iterator[Run]:
     """Yield a map for the fits' tasks: a caller's run, or processes of this machine; this process if one is enough."""
-    if run is not None:
+    if isinstance(run, Executor):
+        yield Executed(run)
+    elif run is not None:
         yield run
     else:
         with Workers(workers, steps.heard) as processes:
@@ -261,7 +274,7 @@ def _results(
     plan: Plan,
     checksum: str,
     noted: Sequence[Finding],
-    patience_s: float,
+    made: MadeFrom,
     wanted: bool,
 ) -> Results:
     """Make results of all or some of a session's fits. wanted: whether the fits should determine best focus."""
@@ -269,7 +282,7 @@ def _results(
         fits = replace(fits, lens=with_doubts(fits.lens))
     fits = with_model_error(fits)
     wavefronts, lens, numbers = as_wavefronts(fits), fits.lens, model_parts(fits, plan)
-    findings = [*noted, *findings_of(fits, wavefronts, numbers, plan, patience_s)]
+    findings = [*noted, *findings_of(fits, wavefronts, numbers, plan, made.patience_s)]
     focus = None if lens is None else as_focus(lens, turned_lenses(fits))
     wanted = wanted and any(w.range_mm is not None and w.defocus for w in wavefronts)
     return Results(
@@ -285,8 +298,9 @@ def _results(
         common=common_numbers(fits),
         findings=tuple(findings),
         unanswered=unanswered(findings)
-        if fits.lost or (wanted and focus is None)
+        if (fits.lost and not made.failed_accepted) or (wanted and focus is None)
         else None,
+        made_from=made,
     )
 
 
@@ -335,3 +349,9 @@ def _partial_name(ranges_mm: Ranges, channels: Channels) -> str:
     ranges = [] if ranges_mm is None else np.atleast_1d(ranges_mm).tolist()
     names = [channels] if isinstance(channels, str) else channels or ()
     return "-".join([*(f"{range_mm:.10g}mm" for range_mm in ranges), *names])
+
+
+def _set_aside(folder: Path) -> list[Finding]:
+    """Set a corrupt results.json aside, and report that."""
+    aside = set_aside_corrupt(folder)
+    return [] if aside is None else [found("results-corrupt", aside=str(aside))]

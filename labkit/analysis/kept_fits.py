@@ -1,7 +1,7 @@
 """Keep completed fits on disk, so that an interrupted fit of a session continues.
 
-A fit is deterministic. Its file is named by a hash of all inputs: task, function and
-labkit's own source. A fit with other inputs never takes the file. Each file is signed with
+A fit is deterministic. Its file is named by a hash of all inputs: task, function, and the
+versions of labkit's numerics and of the libraries below. A fit with other inputs never takes the file. Each file is signed with
 a secret of the user, because sessions travel: a stored fit from another user, or an altered
 one, is computed again.
 """
@@ -15,7 +15,7 @@ import shutil
 import typing
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from functools import cache, cached_property
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,8 @@ from labkit.errors import InputError
 from labkit.execute import Result, Run, Task
 from labkit.files import drop_link, kept_secret, state_folder, write_atomically, writing
 from labkit.findings import Finding, found
-from labkit.sharing import Shared, Value, packed, share
+from labkit.numerics import versions
+from labkit.sharing import packed
 
 FOLDER = ".fits"
 
@@ -63,10 +64,6 @@ class KeptFits:
         ):
             self._keep(places[missing[index]], typed_file.dump(result, kind))
             yield missing[index], result
-
-    def share(self, value: Value) -> Shared[Value]:
-        """Return the other run's handle to a value."""
-        return share(self._run, value)
 
     @property
     def findings(self) -> list[Finding]:
@@ -117,14 +114,5 @@ class KeptFits:
 
 def _key(function: Callable[..., object], task: object) -> str:
     """Return a hash that is the same for equal tasks, whatever objects they share."""
-    name = f"{_source()} {function.__module__}.{function.__qualname__}\n".encode()
+    name = f"{versions()} {function.__module__}.{function.__qualname__}\n".encode()
     return hashlib.sha256(name + packed(task)).hexdigest()
-
-
-@cache
-def _source() -> str:
-    """Return a hash of labkit's installed source."""
-    digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 from labkit.execute import Result, Run, Task
-from labkit.sharing import Shared, Value, share
 from labkit.types import Progress
 
 
@@ -67,7 +66,3 @@ class Counted:
             done = self.steps.done + 1
             self.steps(done, max(self.steps.total, done + 1), self.steps.step)
             yield index, result
-
-    def share(self, value: Value) -> Shared[Value]:
-        """Return the other run's handle to a value."""
-        return share(self.run, value)

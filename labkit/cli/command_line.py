@@ -27,6 +27,7 @@ COMMANDS = {
     "edges": {"edges"},
     "focus": {"camera"},
     "noise": {"noise"},
+    "reprocessing": {"reprocess"},
     "restoring": {"restore"},
     "sessions": {
         *("advise", "demo", "fit", "import", "plan", "report", "study", "verify"),

@@ -11,7 +11,7 @@ import typer
 
 from labkit.cli.app import a_file_or_session, app
 from labkit.cli.console import Console
-from labkit.cli.sessions import Workers
+from labkit.cli.running import Workers
 from labkit.errors import DataError
 
 if TYPE_CHECKING:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -22,6 +20,13 @@ from labkit.cli.app import (
     studies,
 )
 from labkit.cli.console import Console
+from labkit.cli.running import (
+    AcceptFailed,
+    Dask,
+    Workers,
+    cluster_or_none,
+    kept_if_interrupted,
+)
 from labkit.errors import DataError, LabkitError
 
 if TYPE_CHECKING:
@@ -250,12 +255,6 @@ Plain = Annotated[
 Diagnose = Annotated[
     bool, typer.Option("--diagnose", help="Show which parts of the camera were tried.")
 ]
-Workers = Annotated[
-    int | None,
-    typer.Option(
-        min=1, metavar="N", help="Processes at once.", show_default="one for each core"
-    ),
-]
 
 
 @app.command()
@@ -273,6 +272,8 @@ def fit(
     split: Split = False,
     plain: Plain = False,
     diagnose: Diagnose = False,
+    dask: Dask = None,
+    accept_failed: AcceptFailed = False,
 ) -> None:
     """Estimate wavefronts, best focus, the lens. Results go to SESSION/results/NAME; a fit that was killed goes on."""
     a_session(session)
@@ -283,7 +284,11 @@ def fit(
     console: Console = ctx.obj
     opened = Session.open(session)
     console.warn(*opened.warnings)
-    with _kept_if_interrupted(console), console.progress("fitting") as report:
+    with (
+        kept_if_interrupted(console),
+        cluster_or_none(dask, workers) as cluster,
+        console.progress("fitting") as report,
+    ):
         results = fit_session(
             opened,
             plan=plan,
@@ -296,21 +301,11 @@ def fit(
             joint=joint,
             split=split,
             plain=plain,
+            accept_failed=accept_failed,
+            run=cluster,
             progress=report,
         )
     _show(console, results, diagnose)
-
-
-@contextmanager
-def _kept_if_interrupted(console: Console) -> Iterator[None]:
-    """State after an interrupt that completed fits are kept."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        console.hint = (
-            "; fits that are done are kept, and the same command goes on from there"
-        )
-        raise
 
 
 def _show(console: Console, results: Results, diagnose: bool) -> None:

@@ -150,14 +150,14 @@ def _all_reached(
     The lens predicts scales of a target that faces it; a member's scale is smaller by its target's tilt.
     """
     legs = []
-    shown = {channel: share(run, target) for channel, target in targets.items()}
+    shown = {channel: share(target) for channel, target in targets.items()}
     for k, place in zip(session.members, places, strict=True):
         fit = session.fits[k]
         row = session.row(k)
         o = fit.observation
         values = lens.solved.predicted[row].copy()
         values[-1] -= lens.measured.values[row, -1] - place.measured.values[-1]
-        views = share(run, Views(o.frames, o.poses, o.noise))
+        views = share(Views(o.frames, o.poses, o.noise))
         explained = fit.optimum.verdict.accepted
         legs.append(
             Leg(views, shown[o.channel], place.state, place.optics, values, explained)

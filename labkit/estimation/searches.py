@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from labkit.errors import LostTasksError
+from labkit.errors import FitError, LostTasksError
 from labkit.estimation.local import Found, Guesses, Views, find_optima
 from labkit.estimation.observation import Observation
-from labkit.execute import Run, say
+from labkit.execute import Run
 from labkit.imaging.optics import Optics
+from labkit.processes import say
 from labkit.sharing import Shared, share
 from labkit.target import Target
 from labkit.types import Progress
@@ -27,14 +28,19 @@ class Task:
 
 
 def fit_task(task: Task) -> Found:
-    """Run one search."""
-    return find_optima(
-        task.optics,
-        task.target.value,
-        task.views.value,
-        task.guesses,
-        progress=lambda step: say(f"{task.label}: {step}"),
-    )
+    """Run one search. Raises FitError whatever fails: the other searches go on."""
+    try:
+        return find_optima(
+            task.optics,
+            task.target.value,
+            task.views.value,
+            task.guesses,
+            progress=lambda step: say(f"{task.label}: {step}"),
+        )
+    except MemoryError:
+        raise
+    except Exception as error:
+        raise FitError(f"{type(error).__name__}: {error}") from error
 
 
 @dataclass
@@ -63,12 +69,8 @@ class Searches:
     later: int | None = None
 
     def __post_init__(self) -> None:
-        self.shown = {
-            channel: share(self.run, target) for channel, target in self.targets.items()
-        }
-        self.views = [
-            share(self.run, Views(o.frames, o.poses, o.noise)) for o in self.observations
-        ]
+        self.shown = {channel: share(target) for channel, target in self.targets.items()}
+        self.views = [share(Views(o.frames, o.poses, o.noise)) for o in self.observations]
 
     def __call__(
         self, wanted: Mapping[int, tuple[Optics, Guesses]], doing: str
@@ -111,7 +113,7 @@ class Searches:
         """Lines about the observations without a fit."""
         fitted = {self.observations[k].key.label for k in self.fitted}
         return [
-            f"{label} is left out: {why}; close other programs and fit again"
+            f"{label} is left out: {why}"
             for label, why in self.lost.items()
             if label not in fitted
         ]

@@ -28,8 +28,8 @@ from labkit.estimation.climb import (
 from labkit.estimation.local import Views, first_state
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.starts import Sketches, fitted_light, settle
-from labkit.execute import say
 from labkit.imaging.optics import Optics
+from labkit.processes import say
 from labkit.sharing import Shared
 from labkit.target import Target
 from labkit.types import Floats

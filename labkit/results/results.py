@@ -18,6 +18,7 @@ from labkit.optics.lens import ThinLens
 from labkit.plan import Plan
 from labkit.results import storage, tables, verdicts
 from labkit.results.common import CommonNumbers
+from labkit.results.made_from import MadeFrom
 from labkit.results.model import Focus, Lens, PartTried, Wavefront
 from labkit.results.tables import (
     ChannelSummary,
@@ -46,8 +47,8 @@ class Results:
     kind of light.
     findings: what to know of the numbers; `warnings` are the texts of those that warn.
     common: numbers of the lens with their joint covariance, for comparison with another session; None without a lens.
-    unanswered: what these frames cannot determine though it was to be estimated; findings say it too. folder: where it is
-    kept.
+    unanswered: what these frames cannot determine though it was to be estimated; findings say it too. made_from: inputs,
+    settings and failed fits; None where an earlier labkit made the results. folder: where it is kept.
 
     >>> results = labkit.Results.load("night-3")
     >>> print(results.focus["G"])
@@ -71,6 +72,7 @@ class Results:
         default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds")
     )
     labkit_version: str = __version__
+    made_from: MadeFrom | None = None
     folder: Path | None = None
 
     def __post_init__(self) -> None:

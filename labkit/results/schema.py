@@ -55,6 +55,7 @@ from labkit.results.kept import (
     uncertain,
 )
 from labkit.results.lens_entry import Common, LensEntry
+from labkit.results.made_from import RecordOfInputs
 from labkit.results.model import (
     Focus,
     Lens,
@@ -296,7 +297,7 @@ class WavefrontEntry(Entry):
             twin_waves=listed(w.twin.waves) if w.sign_open else None,
             errors_known=confirmed(w, results.wavefronts),
             pose=w.poses[0],
-            test=_shortened(w.test),
+            test=w.test and replace(w.test, others=w.test.others[:MOST_OTHERS]),
             **_verdicts(w),
             **({} if w.placement is None else _attributes(w.placement)),
         )
@@ -346,10 +347,6 @@ class WavefrontEntry(Entry):
         if self.corners_px is None:
             return None
         return Placement(self.origin_px, shape_px, self.corners_px)
-
-
-def _shortened(test: OptimumTest | None) -> OptimumTest | None:
-    return None if test is None else replace(test, others=test.others[:MOST_OTHERS])
 
 
 def _attributes(placement: Placement) -> dict[str, Any]:
@@ -443,6 +440,7 @@ class Content(Entry):
     findings: tuple[FindingEntry, ...] | None = None
     warnings: tuple[Text, ...]
     unanswered: Text | None = None
+    made_from: RecordOfInputs | None = None
 
     @classmethod
     def parse(cls, content: str) -> Content:
@@ -476,7 +474,7 @@ class Content(Entry):
         """Return the fields of results, but for their plan, folder and residuals. Raises ValueError."""
         same = (
             *("plan_sha256", "focus", "budget", "joint", "parts_tried", "widest_light_nm"),
-            *("common", "unanswered", "created", "labkit_version"),
+            *("common", "unanswered", "created", "labkit_version", "made_from"),
         )
         return {name: getattr(self, name) for name in same} | {
             "wavefronts": tuple(entry.wavefront(plan) for entry in self.wavefronts),

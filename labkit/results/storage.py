@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from labkit import npz
-from labkit.errors import DataError, PlanError, shown
+from labkit.errors import DataError, NewerError, PlanError, shown
 from labkit.files import (
     check_name,
     drop_link,
@@ -95,7 +95,7 @@ def read(folder: Path, name: str, *, residuals: bool = True) -> dict[str, Any]:
         )
     try:
         content = Content.parse(text)
-        plan = _plan(content, place)
+        plan = plan_of(content, place)
         fields = content.fields(plan)
     except PlanError as error:
         raise DataError(f"{path}: {error}; fit the session again") from None
@@ -111,12 +111,64 @@ def read(folder: Path, name: str, *, residuals: bool = True) -> dict[str, Any]:
 
 
 def kept_keys(folder: Path) -> set[Key]:
-    """Keys of the wavefronts whose results a folder holds; empty where it holds none that can be read."""
+    """Keys of the wavefronts whose results a folder holds; empty where it holds none that can be read.
+
+    Raises NewerError.
+    """
     try:
-        content = Content.parse((folder / RESULTS_FILE).read_text(encoding="utf-8"))
-        return {entry.identity for entry in content.wavefronts}
+        content = kept_content(folder)
+        return {entry.identity for entry in content.wavefronts} if content else set()
     except (OSError, ValueError):
         return set()
+
+
+def kept_content(folder: Path) -> Content | None:
+    """Return the content of a folder's results.json; None where there is none.
+
+    Raises NewerError for results of a later schema, ValueError for a corrupt file, OSError.
+    """
+    try:
+        text = (folder / RESULTS_FILE).read_text(encoding="utf-8")
+        schema = _schema(text)
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except RecursionError as error:
+        raise ValueError("it is nested too deeply") from error
+    if isinstance(schema, int) and schema > READABLE[-1]:
+        raise NewerError(
+            f"{folder / RESULTS_FILE} has schema {schema}, of a newer labkit; this version writes schema {READABLE[-1]}: "
+            "update labkit, or give another name (--name)"
+        )
+    return Content.parse(text)
+
+
+def accept_failed_fits(folder: Path) -> None:
+    """Record in a folder's results.json that the user accepts the results without the fits that failed.
+
+    Raises InputError where the folder cannot be written to.
+    """
+    content = json.loads((folder / RESULTS_FILE).read_text(encoding="utf-8"))
+    content["made_from"]["failed_accepted"] = True
+    content["unanswered"] = None
+    text = json.dumps(content, indent=1, allow_nan=False) + "\n"
+    write_atomically(folder / RESULTS_FILE, text.encode())
+
+
+def set_aside_corrupt(folder: Path) -> Path | None:
+    """Rename results.json to results.json.corrupt if it cannot be read; return the new path, or None.
+
+    Raises NewerError, and InputError where the folder cannot be written to.
+    """
+    try:
+        kept_content(folder)
+    except ValueError:
+        aside = folder / f"{RESULTS_FILE}.corrupt"
+        with writing(aside):
+            (folder / RESULTS_FILE).rename(aside)
+        return aside
+    except OSError:
+        return None
+    return None
 
 
 def _schema(text: str) -> Any:
@@ -180,7 +232,7 @@ def _pixels(w: Wavefront) -> int:
     return MOST_RESULT_PIXELS if w.placement is None else prod(w.placement.shape_px)
 
 
-def _plan(content: Content, folder: Path) -> Plan:
+def plan_of(content: Content, folder: Path) -> Plan:
     """Return the plan that the results were made with; of results that do not hold it, the session's."""
     if content.plan is None:
         return Plan.load(folder.resolve().parents[1] / "plan.toml")

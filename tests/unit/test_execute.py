@@ -1,20 +1,25 @@
 """Work here and in processes."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
 import tempfile
 import threading
 import time
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from math import factorial
-from multiprocessing import active_children
+from multiprocessing import active_children, get_context
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 import pytest
 
-from labkit.errors import InputError, LostTasksError
-from labkit.execute import NO_MEMORY, Workers, run_all, say
+from labkit.errors import FitError, LostTasksError, WorkersError
+from labkit.execute import NO_MEMORY, Executed, Workers, run_all
+from labkit.numerics import versions
+from labkit.processes import say
 
 HOURS = """
 import time
@@ -162,6 +167,64 @@ def test_a_task_that_lacks_memory_is_named_and_all_others_are_done(workers: int)
     assert caught.value.lost == ((2, NO_MEMORY),)
 
 
+def fail_at(number: int) -> int:
+    """Number 2 cannot be fitted."""
+    if number == 2:
+        raise FitError("no optimum")
+    return number
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_fit_that_fails_is_named_and_all_others_are_done(workers: int) -> None:
+    results = run_all(fail_at, [1, 2, 3], workers)
+    assert sorted([next(results), next(results)]) == [(0, 1), (2, 3)]
+    with pytest.raises(LostTasksError) as caught:
+        next(results)
+    assert caught.value.lost == ((2, "no optimum"),)
+
+
+def test_a_killed_process_costs_its_task_alone(tmp_path: Path) -> None:
+    """The other process works on: each task that it began is done once."""
+    tasks = [(tmp_path / "tried", tmp_path), *((tmp_path, tmp_path) for _ in range(5))]
+    assert len([*run_all(count_and_kill_first, tasks, 2)]) == 6
+    assert len(list(tmp_path.glob("begun-*"))) == 7
+
+
+def count_and_kill_first(task: tuple[Path, Path]) -> None:
+    """The process at work is killed the first time; each beginning is counted."""
+    tempfile.mkstemp(prefix="begun-", dir=task[1])
+    time.sleep(0.05)
+    kill_the_first_time((task[0], 0))
+
+
+def test_any_executor_runs_tasks_in_chunks() -> None:
+    with ThreadPoolExecutor(2) as executor:
+        run = Executed(executor, 2)
+        assert sorted(run(factorial, range(100))) == [(k, factorial(k)) for k in range(100)]
+        with pytest.raises(LostTasksError) as caught:
+            list(run(fail_at, [1, 2, 3]))
+        assert caught.value.lost == ((2, "no optimum"),)
+
+
+def test_an_executor_that_is_broken_is_named() -> None:
+    with (
+        ProcessPoolExecutor(1, mp_context=get_context("spawn")) as executor,
+        pytest.raises(WorkersError, match=r"takes no more tasks: .*terminated abruptly"),
+    ):
+        list(Executed(executor, 1)(kill_at, [1, 2, 3]))
+
+
+def test_a_worker_of_other_versions_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    sent = {**versions(), "NumPy": "1.0"}
+    monkeypatch.setattr("labkit.execute.versions", lambda: sent)
+    with ThreadPoolExecutor(1) as executor, pytest.raises(WorkersError) as caught:
+        list(Executed(executor, 1)(factorial, [1]))
+    assert re.fullmatch(
+        r"worker \d+ on \S+ has NumPy [\d.]+, not 1\.0: install the same versions there as here",
+        str(caught.value),
+    )
+
+
 def say_and_wait(heard: Path) -> str:
     """Says a word, and ends once it was heard."""
     say(heard.name)
@@ -186,11 +249,19 @@ def test_workers_go_on_with_the_next_tasks_after_one_was_lost() -> None:
         assert sorted(run(kill_at, [3, 4])) == [(0, 3), (1, 4)]
 
 
+def warmed_up(run: Workers) -> set[BaseProcess]:
+    """The processes of this one, once two have begun in addition."""
+    wanted = len(active_children()) + 2
+    run.warm_up("math")
+    while len(active_children()) < wanted:
+        time.sleep(0.01)
+    return set(active_children())
+
+
 def test_processes_begin_before_there_is_work_for_them() -> None:
     before = set(active_children())
     with Workers(2) as run:
-        run.warm_up("math")
-        begun = set(active_children()) - before
+        begun = warmed_up(run) - before
         assert len(begun) == 2
         assert sorted(run(factorial, [5, 6, 7])) == [(0, 120), (1, 720), (2, 5040)]
         assert set(active_children()) - before == begun
@@ -200,12 +271,10 @@ def test_processes_begin_before_there_is_work_for_them() -> None:
 def test_processes_that_are_killed_before_there_is_work_are_begun_anew() -> None:
     before = set(active_children())
     with Workers(2) as run:
-        run.warm_up("math")
-        begun = set(active_children()) - before
+        begun = warmed_up(run) - before
         for process in begun:
             process.kill()
             process.join()
-        time.sleep(0.3)  # until the pool has seen it
         assert sorted(run(factorial, [5, 6])) == [(0, 120), (1, 720)]
 
 
@@ -227,21 +296,6 @@ def test_one_worker_needs_no_warming_up() -> None:
     with Workers(1) as run:
         run.warm_up("math")
         assert set(active_children()) == before
-
-
-def test_a_full_folder_for_temporary_files_is_named(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    def full(path: Path, content: bytes) -> int:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    monkeypatch.setattr(Path, "write_bytes", full)
-    with pytest.raises(
-        InputError, match=f"cannot write {tmp_path}/labkit-.*: No space left on device"
-    ):
-        list(run_all(factorial, [1, 2], 2))
-    assert list(tmp_path.iterdir()) == []
 
 
 HUNG_UP = "import signal; signal.signal(signal.SIGHUP, signal.default_int_handler)\n"

@@ -87,9 +87,10 @@ SAMPLES = [
     flats_of_another_range(2150.0, 2200.0),
     flats_partly_unlit(2000.0, 0.125),
     found("gain-not-measured"),
+    found("results-corrupt", aside="results/latest/results.json.corrupt"),
     found(
         "fit-left-out",
-        note="G at 3010 mm is left out: killed; close other programs and fit again",
+        note="G at 3010 mm is left out: FloatingPointError: overflow",
     ),
     found("search-cut-short", GREEN, patience_s=120.0, starts=40),
     found("fit-mended", GREEN),

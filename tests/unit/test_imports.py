@@ -13,7 +13,7 @@ LAYERS = {
     "base": [
         *("types", "errors", "key", "mode_groups", "pace", "uncertain", "version"),
         *("findings", "files", "arrays", "npz", "typed_file", "apart"),
-        *("sharing", "execute", "figure_style"),
+        *("sharing", "numerics", "processes", "execute", "cluster", "figure_style"),
         *("spectra", "plan", "target", "target_file"),
     ],
     "model": ["optics", "panel", "imaging"],

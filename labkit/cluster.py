@@ -1,0 +1,100 @@
+"""Tasks on an existing Dask cluster, through distributed's own executor: the only module that knows Dask."""
+
+from __future__ import annotations
+
+import logging
+import re
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from labkit.errors import InputError, WorkersError
+from labkit.execute import Executed
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+CONNECT_S = 10
+"""For which a scheduler may leave a call without an answer."""
+
+NO_WORKERS_S = 30
+"""For which a cluster may be without workers, as while it starts them."""
+
+
+@contextmanager
+def on_dask(address: str) -> Iterator[Executed]:
+    """Yield a run over the workers of a Dask cluster.
+
+    A worker that is lost costs only its tasks, which the scheduler gives to others. While
+    tasks are under way, a lost scheduler is reported within seconds, and a cluster without
+    workers within half a minute.
+
+    Parameters
+    ----------
+    address : of the scheduler, such as ``tcp://10.0.0.5:8786``
+
+    Raises
+    ------
+    InputError : `address` is none, or the package distributed is not installed
+    WorkersError : no scheduler answers, or it has no workers
+
+    >>> with on_dask("tcp://10.0.0.5:8786") as run:
+    ...     results = labkit.fit("night-3", run=run)
+    """
+    if not re.fullmatch(r"[a-z]+://\S+", address):
+        raise InputError(f"--dask {address}: give an address such as tcp://10.0.0.5:8786")
+    try:
+        import dask
+        from distributed import Client, KilledWorker
+    except ImportError as error:
+        raise InputError(
+            "--dask needs the package distributed: pip install 'labkit[cluster]'"
+        ) from error
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # errors here are one line
+    with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 GiB"}):
+        try:
+            client = Client(  # type: ignore[no-untyped-call]
+                address, timeout=CONNECT_S, set_as_default=False
+            )
+        except (OSError, TypeError, ValueError) as error:
+            raise WorkersError(
+                f"no Dask scheduler answers at {address} within {CONNECT_S} s: start one with dask scheduler, "
+                "or correct the address, such as tcp://10.0.0.5:8786"
+            ) from error
+        try:
+            cluster = Cluster(client, address)
+            executor = client.get_executor(pure=False)  # type: ignore[no-untyped-call]
+            yield Executed(executor, cluster.threads, cluster.watch, (KilledWorker,))
+        finally:
+            client.close(timeout=CONNECT_S)  # type: ignore[no-untyped-call]
+
+
+@dataclass
+class Cluster:
+    """The scheduler and workers of a cluster, as last seen."""
+
+    client: Client
+    address: str
+    last_workers_s: float = field(default_factory=time.monotonic)
+
+    def threads(self) -> int:
+        """Return the number of tasks that the workers run at once."""
+        workers = self.client.scheduler_info(n_workers=-1)["workers"].values()
+        return sum(int(worker["nthreads"]) for worker in workers)
+
+    def watch(self) -> None:
+        """Raise WorkersError if the scheduler is lost, or has been without workers for too long."""
+        if self.client.status != "running":
+            raise WorkersError(
+                f"the Dask scheduler at {self.address} is gone; start it and fit again: that goes on where this one ended"
+            )
+        now = time.monotonic()
+        if self.threads():
+            self.last_workers_s = now
+        elif now - self.last_workers_s > NO_WORKERS_S:
+            raise WorkersError(
+                f"the Dask scheduler at {self.address} has been without workers for {NO_WORKERS_S} s: start some with "
+                "dask worker, and fit again: that goes on where this one ended"
+            )

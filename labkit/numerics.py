@@ -1,0 +1,66 @@
+"""Versions that fits depend on: the source of labkit's numerics, and the libraries below them."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import socket
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+
+from labkit.errors import WorkersError
+from labkit.version import __version__
+
+LIBRARIES = {
+    "NumPy": "numpy",
+    "SciPy": "scipy",
+    "OpenCV": "opencv-contrib-python-headless",
+    "numba": "numba",
+}
+"""By name, their packages."""
+
+NO_NUMERICS = {
+    *("acquisition", "advice", "cli", "devices", "drivers"),
+    *("edges", "experiments", "report", "restoration"),
+    *("cluster.py", "demo.py", "execute.py", "processes.py"),
+}
+"""Rooms whose source no fit depends on."""
+
+
+@cache
+def source_digest() -> str:
+    """Return the SHA-256 of the source that fits depend on."""
+    root = Path(__file__).parent
+    digest = hashlib.sha256()
+    for room in sorted(root.iterdir()):  # some rooms are links, which rglob does not follow
+        if room.name not in NO_NUMERICS:
+            for path in [room, *sorted(room.rglob("*.py"))]:
+                digest.update(path.read_bytes() if path.suffix == ".py" else b"")
+    return digest.hexdigest()
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Return the versions that the numbers of a fit depend on, by name."""
+    return {
+        "labkit": f"{__version__} of source {source_digest()[:12]}",
+        **{name: metadata.version(package) for name, package in LIBRARIES.items()},
+        "Python": ".".join(platform.python_version_tuple()[:2]),
+    }
+
+
+def refuse_other_versions(wanted: dict[str, str]) -> None:
+    """Raise WorkersError if this process, a worker, differs in a version from the process that sends its tasks."""
+    ours = versions()
+    others = [
+        f"{name} {ours.get(name, 'missing')}, not {version}"
+        for name, version in wanted.items()
+        if ours.get(name) != version
+    ]
+    if others:
+        raise WorkersError(
+            f"worker {os.getpid()} on {socket.gethostname()} has {'; '.join(others)}: "
+            "install the same versions there as here"
+        )
