@@ -280,6 +280,7 @@ def camera_findings(
                 in_words(session.missing), _moves_by_missing(session, wavefronts)
             )
         )
+    findings += _rims_at_bound(session)
     change = _change(session, wavefronts)
     findings += part_findings(
         session, numbers, wanted, None if change is None else change[0]
@@ -287,6 +288,13 @@ def camera_findings(
     if change is not None:
         findings.append(stated_model_moves(*change))
     return findings
+
+
+def _rims_at_bound(session: Estimate) -> Iterator[Finding]:
+    """Report parts of the pupil's rim that ended at the limit of a closed curve."""
+    bound = {p for fit in session.fits for p in fit.optimum.optics.parts if p.at_bound}
+    for title in sorted({part.title for part in bound}):
+        yield found("pupil-at-bound", None, {"title": title})
 
 
 def part_findings(

@@ -125,6 +125,22 @@ def test_a_rim_of_nothing_is_round() -> None:
     assert replace(OPTICS, given=(Obstruction(0.2),)).rim.obstructed == 0.2
 
 
+@pytest.mark.parametrize(
+    ("part", "beyond", "within"),
+    [
+        (Obstruction(), (2.0,), (0.8,)),
+        (UnevenRim(), (0.9, 0.9, -3.0, 0.0), (0.3, 0.3, 0.2, 0.2)),
+        (CatsEye(), (3.0, 4.0, 0.0), (0.5, 0.7, 0.0)),
+        (CatsEye(), (0.0, 0.0, -2.0), (0.0, 0.0, -0.8)),
+    ],
+)
+def test_a_rim_beyond_a_closed_curve_ends_at_the_bound_and_tells(
+    part: Part, beyond: tuple[float, ...], within: tuple[float, ...]
+) -> None:
+    assert part.at(beyond).at_bound
+    assert not part.at(within).at_bound
+
+
 def test_a_rim_stays_a_closed_curve_and_a_blade_no_more_than_straight() -> None:
     cosine, sine = Blades(6).at((3.0, 4.0)).values
     assert cosine**2 + sine**2 == pytest.approx(1)

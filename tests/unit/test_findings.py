@@ -123,6 +123,7 @@ SAMPLES = [
     camera_part_found(
         "smear", "smear", {"rows_px": Uncertain(0.4, 0.01, "px")}, 120.0, MOVES
     ),
+    found("pupil-at-bound", None, {"title": "obstruction"}),
     found(
         "light-contradicted",
         None,

@@ -9,13 +9,17 @@ from typing import cast
 import numpy as np
 import pytest
 
-from labkit.analysis.session_findings import part_findings, session_findings
+from labkit.analysis.session_findings import (
+    camera_findings,
+    part_findings,
+    session_findings,
+)
 from labkit.analysis.session_parts import model_parts, widest_light_nm
 from labkit.estimation.candidate import Measured, Observed
 from labkit.estimation.estimate import Estimate, LocalFit
 from labkit.estimation.select import select
 from labkit.findings import Finding, Moves, found
-from labkit.imaging.parts import SpectrumWidth
+from labkit.imaging.parts import Obstruction, SpectrumWidth
 from labkit.key import Key
 from labkit.plan import Plan
 from labkit.results.model import PartTried
@@ -110,6 +114,20 @@ def test_what_was_found_is_said() -> None:
     assert isinstance(values, dict)
     assert set(values) == {"spread_px", "rows_px", "columns_px"}
     assert Uncertain.from_json(values["rows_px"]).value == pytest.approx(0.55)
+
+
+def test_a_rim_that_ended_at_its_bound_is_named_once_for_all_fits() -> None:
+    bound, free = (
+        cast(
+            LocalFit,
+            SimpleNamespace(optimum=SimpleNamespace(optics=SimpleNamespace(parts=parts))),
+        )
+        for parts in ((Obstruction().at((2.0,)),), (Obstruction(0.2),))
+    )
+    (finding,) = camera_findings(Estimate((bound, free, bound), None), [], {})
+    assert finding.code == "pupil-at-bound"
+    assert finding.text.startswith("the obstruction ended at the limit")
+    assert not camera_findings(Estimate((free,), None), [], {})
 
 
 def test_a_part_that_the_plan_wants_fitted_is_no_news() -> None:

@@ -110,6 +110,9 @@ class Blades(Part):
         return self.at([straight * math.cos(turn), straight * math.sin(turn)])
 
 
+AT_BOUND = 1 - 1e-6
+"""Share of a bound from which a number is taken to have ended there."""
+
 MOST_OBSTRUCTION = 0.9
 """Largest obstruction, of the pupil's diameter."""
 
@@ -141,6 +144,10 @@ class Obstruction(Part):
         return type(self)(
             min(max(float(share), -(MOST_OBSTRUCTION**2)), MOST_OBSTRUCTION**2)
         )
+
+    @property
+    def at_bound(self) -> bool:
+        return self.share > AT_BOUND * MOST_OBSTRUCTION**2
 
     def begun(self, before: Sequence[Part]) -> Self:
         return type(self)(USUAL_SHARE)
@@ -206,10 +213,20 @@ class UnevenRim(Part):
         return self.cosine_2, self.sine_2, self.cosine_3, self.sine_3
 
     def at(self, values: Sequence[float]) -> Self:
-        cosine_2, sine_2, cosine_3, sine_3 = map(float, values)
-        depth = math.hypot(cosine_2, sine_2) + math.hypot(cosine_3, sine_3)
+        depth = type(self)(*map(float, values))._depth
         within = min(1.0, MOST_UNEVENNESS / depth) if depth else 1.0
         return type(self)(*(within * float(value) for value in values))
+
+    @property
+    def _depth(self) -> float:
+        """The largest departure of the radius, relative, if both harmonics peak at one place."""
+        return math.hypot(self.cosine_2, self.sine_2) + math.hypot(
+            self.cosine_3, self.sine_3
+        )
+
+    @property
+    def at_bound(self) -> bool:
+        return self._depth > AT_BOUND * MOST_UNEVENNESS
 
     def onto(self, rim: Rim) -> Rim:
         return replace(rim, uneven=self.values)
@@ -231,6 +248,9 @@ class UnevenRim(Part):
         values = finite(found, *(f"{self.name}.{label}" for label in self.labels))
         return None if values is None else self.at(values)
 
+
+LEAST_GROWTH = -0.9
+"""Of a circle a tenth as large as the pupil; a smaller one would be the pupil itself."""
 
 MOST_SHIFT = 0.95
 """Largest shift, of the circle's radius: its centre and the pupil's both lie in the clear part."""
@@ -286,10 +306,15 @@ class CatsEye(Part):
 
     def at(self, values: Sequence[float]) -> Self:
         right, down, growth = map(float, values)
-        growth = max(growth, -0.9)
+        growth = max(growth, LEAST_GROWTH)
         shift = math.hypot(right, down)
         within = min(1.0, MOST_SHIFT * (1 + growth) / shift) if shift else 1.0
         return replace(self, right=within * right, down=within * down, growth=growth)
+
+    @property
+    def at_bound(self) -> bool:
+        most = MOST_SHIFT * (1 + self.growth)
+        return self.growth <= LEAST_GROWTH or self._circle.shift > AT_BOUND * most
 
     def begun(self, before: Sequence[Part]) -> Self:
         """Return the circle whose outline has the harmonics of a previously fitted uneven rim."""
