@@ -213,7 +213,7 @@ TEXTS = {
     # the camera
     "camera-part-found": "the photographs show {part_words}, which the plan does not state: {values_words}",
     "pupil-at-bound": (
-        "the {title} ended at the limit of what a pupil can be; its numbers describe nothing, and the model lacks something else"
+        "the {title} ended at the limit of what a pupil can be: its numbers describe nothing; the model lacks something else"
     ),
     "light-contradicted": "the light that the plan names has another width than the photographs show: {list}",
     "higher-modes-found": (

@@ -39,7 +39,11 @@ class Canvas:
             return
         with writing(folder):
             self._file = NamedTemporaryFile(dir=folder, prefix=".picture.", suffix=".part")  # noqa: SIM115
-            os.posix_fallocate(self._file.fileno(), 0, 4 * int(np.prod(shape)))
+            size = 4 * int(np.prod(shape))
+            if hasattr(os, "posix_fallocate"):  # a full disk is noticed now
+                os.posix_fallocate(self._file.fileno(), 0, size)
+            else:
+                self._file.truncate(size)
 
     def opened(self) -> Floats32:
         """Return the array; memory that a file's takes is free again when it is dropped."""

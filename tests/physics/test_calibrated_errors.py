@@ -41,7 +41,6 @@ def test_two_thirds_of_a_natural_scene_are_within_one_standard_error(picture: st
     seen, counts = photographed(picture)
     found = restore_job(study.job_of([counts], SAMPLES), DISCREPANCY, study.FRAME, 0)
     apart = np.abs(found.scene[0] - study.WHITE * seen.truth(SAMPLES)) / found.std[0]
-    # 81 to 95 % where the penalty's own variance was stated
     assert np.mean(apart < 1) == pytest.approx(0.68, abs=0.1)
 
 
