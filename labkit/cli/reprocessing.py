@@ -38,7 +38,7 @@ def reprocess(
     ] = False,
     accept_failed: AcceptFailed = False,
 ) -> None:
-    """Fit many sessions again where their results are out of date. All fits are one stream; what was killed goes on."""
+    """Fit many sessions again. Results that are up to date are skipped; all fits are one stream, and go on if killed."""
     from labkit.analysis.reprocess import reprocess as reprocess_sessions
 
     console: Console = ctx.obj
