@@ -7,7 +7,7 @@ import io
 import os
 import pickle
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -87,6 +87,17 @@ def run_all(
     """Map a function over tasks; yields (index, result) as they finish. As `Workers`, for once."""
     with Workers(workers if len(tasks) > 1 else min(workers, 1)) as run:
         yield from run(function, tasks)
+
+
+def in_order(results: Iterable[tuple[int, Result]]) -> Iterator[tuple[int, Result]]:
+    """Yield (index, result) by rising index from 0; results that come early wait."""
+    early = dict[int, Result]()
+    index = 0
+    for at, result in results:
+        early[at] = result
+        while index in early:
+            yield index, early.pop(index)
+            index += 1
 
 
 class Workers:

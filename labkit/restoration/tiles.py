@@ -15,7 +15,7 @@ from typing import TypeVar
 import numpy as np
 from scipy import ndimage
 
-from labkit.execute import Run, Workers
+from labkit.execute import Run, Workers, in_order
 from labkit.restoration.calibration import calibrate_errors
 from labkit.restoration.canvas import BAND_ROWS, Canvas
 from labkit.restoration.errors import standard_errors
@@ -205,7 +205,8 @@ def _parts(
 ) -> Iterator[tuple[int, Part]]:
     """Yield each tile's part with its number; a picture of one tile reports its steps."""
     if len(tasks) > 1:
-        yield from run(restore_tile, tasks)
+        # sums of overlaps do not depend on which tile ends first
+        yield from in_order(run(restore_tile, tasks))
         return
     steps = 0
 

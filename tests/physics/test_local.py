@@ -193,7 +193,7 @@ def test_a_sweep_yields_a_state_though_its_end_is_doubted_and_no_time_is_left(
     """As of a lone picture near focus: its plausible end is doubted, and is all that there is."""
     excess = iter([0.0, 1.0])  # of the end, and of where it began
     monkeypatch.setattr(starts, "_excess", lambda sketches, state: next(excess))
-    monkeypatch.setattr(Sketches, "near", lambda sketches, state: True)
+    monkeypatch.setattr(starts, "near_focus", lambda optics, waves: True)
     monkeypatch.setattr(
         starts, "sweep", lambda sketches, state: sweep(sketches, state)[:1]
     )  # whose end is the best

@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from labkit.errors import FitError, LostTasksError, WorkersError
-from labkit.execute import NO_MEMORY, Executed, Workers, run_all
+from labkit.execute import NO_MEMORY, Executed, Workers, in_order, run_all
 from labkit.numerics import versions
 from labkit.processes import say
 
@@ -74,6 +74,14 @@ def test_the_exception_of_a_task_is_raised(workers: int) -> None:
 
 def test_one_worker_goes_in_order() -> None:
     assert [index for index, _ in run_all(factorial, [3, 1, 2], 1)] == [0, 1, 2]
+
+
+def test_results_that_come_early_wait_for_their_turn() -> None:
+    came = iter([(2, "c"), (0, "a"), (1, "b"), (3, "d")])
+    ordered = in_order(came)
+    assert next(ordered) == (0, "a")
+    assert next(came) == (1, "b")  # the first is not held back by those after it
+    assert list(in_order([(2, "c"), (0, "a"), (1, "b")])) == [(0, "a"), (1, "b"), (2, "c")]
 
 
 def test_less_than_one_worker_is_refused() -> None:
