@@ -24,6 +24,9 @@ PROGRAM = (sys.executable, "-c", "from labkit.cli import main; main()")
 SCHEDULER = "tcp://127.0.0.1:18786"
 LONGEST_S = 1800
 
+KILLED_EVERY_S = 8.0
+"""Mean time between kills: a worker that was killed starts again within a few seconds."""
+
 
 def copies(session: Path, folder: Path, count: int) -> list[Path]:
     """Copy plan, journal and links to the photographs, without results."""
@@ -142,23 +145,26 @@ def worker_processes() -> list[int]:
     return [int(one) for one in found.stdout.split()]
 
 
-def with_workers_killed(sessions: Sequence[Path], kills: int, usual_s: float) -> None:
-    """Kill a random worker at random moments while the job runs on the cluster."""
+def with_workers_killed(sessions: Sequence[Path], kills: int) -> None:
+    """Kill a random worker at random moments while the job runs on the cluster; a job that ended begins again."""
     rng = np.random.default_rng(2)
-    job = subprocess.Popen(
-        command(sessions, "--dask", SCHEDULER),
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    done = 0
-    while done < kills and job.poll() is None:
-        sleep(rng.uniform(0, 2 * usual_s / kills))
-        if (workers := worker_processes()) and job.poll() is None:
-            os.kill(int(rng.choice(workers)), signal.SIGKILL)
-            done += 1
-    _, said = job.communicate(timeout=LONGEST_S)
-    print(f"{done} workers killed, exit {job.returncode} {said.splitlines()[-1:]}")
+    done = ended = left_out = 0
+    while done < kills:
+        job = subprocess.Popen(
+            command(sessions, "--dask", SCHEDULER),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        while done < kills and job.poll() is None:
+            sleep(rng.uniform(0, 2 * KILLED_EVERY_S))
+            if (workers := worker_processes()) and job.poll() is None:
+                os.kill(int(rng.choice(workers)), signal.SIGKILL)
+                done += 1
+        left_out += job.wait(LONGEST_S) != 0
+        ended += 1
+        if done < kills:
+            clear(sessions)
+    print(f"{kills} workers killed in {ended} jobs, of which {left_out} left out fits")
 
 
 def main() -> None:
@@ -190,7 +196,8 @@ def main() -> None:
         print(f"{asked.kills} times killed: {compared(sessions, right)}", flush=True)
         clear(sessions)
         with dask(2):
-            with_workers_killed(sessions, asked.worker_kills, times[2])
+            with_workers_killed(sessions, asked.worker_kills)
+            undisturbed(sessions, "--dask", SCHEDULER)
             print(f"on Dask: {compared(sessions, right)}", flush=True)
 
 
