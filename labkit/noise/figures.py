@@ -18,7 +18,7 @@ from labkit.figure_style import (
     chart,
     styled,
 )
-from labkit.noise.emva import ChannelNoise
+from labkit.noise.emva import LINEARITY_SHARES, SENSITIVITY_SHARE, ChannelNoise
 from labkit.noise.levels import Level
 
 HEIGHT_IN = 3.3
@@ -65,13 +65,14 @@ def linearity_chart(channels: Channels) -> Figure:
     most = 0.1
     for name, noise in channels.items():
         ink = inks[name]
-        top = noise.fitted_to / 0.7
+        top = noise.fitted_to / SENSITIVITY_SHARE
+        low, high = (share * top for share in LINEARITY_SHARES)
         shown = [
             (100 * flat.signal / top, deviation)
             for flat, deviation in zip(
                 noise.series.flats, noise.deviations_percent, strict=True
             )
-            if 0.05 * top <= flat.signal <= 0.95 * top and np.isfinite(deviation)
+            if low <= flat.signal <= high and np.isfinite(deviation)
         ]
         if shown:
             x, y = np.array(shown).T

@@ -15,7 +15,7 @@ PAGE_STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; color: #1c1e21; max-width: 60rem; margin: 2rem auto; padding: 0 1rem; }
 table { border-collapse: collapse; }
 th, td { padding: .2rem .8rem .2rem 0; text-align: left; border-bottom: 1px solid #d5d8db; }
-figure { display: inline-block; margin: 1rem 0; width: 29rem; max-width: 100%; vertical-align: top; }
+figure { display: inline-block; margin: 1rem .9rem 1rem 0; width: 29rem; max-width: 100%; vertical-align: top; }
 figure svg { width: 100%; height: auto; }
 figcaption, .soft { color: #55595e; font-size: 13px; }
 pre { background: #f4f4f2; padding: .6rem; }
