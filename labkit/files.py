@@ -181,7 +181,7 @@ def checksum_problem(path: Path, sha256: str) -> str | None:
 
 
 def is_name(name: Any) -> bool:
-    """Whether a value is a string that is safe as a file name on every system."""
+    """Return whether a value is a string that is safe as a file name on every system."""
     return (
         isinstance(name, str)
         and re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}", name) is not None

@@ -22,8 +22,8 @@ LIBRARIES = {
 """By name, their packages."""
 
 NO_NUMERICS = {
-    *("acquisition", "advice", "cli", "devices", "drivers"),
-    *("edges", "experiments", "report", "restoration"),
+    *("acquisition", "advice", "catalogue", "cli", "devices", "drivers"),
+    *("edges", "experiments", "noise", "report", "restoration"),
     *("cluster.py", "demo.py", "execute.py", "processes.py"),
 }
 """Rooms whose source no fit depends on."""

@@ -47,7 +47,7 @@ class Pace:
 
     @property
     def on_hold(self) -> bool:
-        """Whether nothing is done."""
+        """Return whether nothing is done."""
         return self._held_since_s is not None
 
     def left_s(self, now_s: float) -> float | None:

@@ -166,7 +166,7 @@ class _Process:
         theirs.close()
 
     def serves(self, job: _Job) -> bool:
-        """Whether the process lives and knows what a task needs."""
+        """Return whether the process lives and knows what a task needs."""
         return self._process.is_alive() and self._with_main >= job.needs_main
 
     def answer(self, job: _Job, said: SimpleQueue[str]) -> None:

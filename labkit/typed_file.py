@@ -132,7 +132,7 @@ def put_together(tree: Any, kind: Any, arrays: Arrays) -> Any:
 
 
 def _is_json(kind: Any) -> bool:
-    """Whether a type is `JSON`, in which annotations are nested to any depth."""
+    """Return whether a type is `JSON`, in which annotations are nested to any depth."""
     return {*PLAIN, NoneType} < set(typing.get_args(kind))
 
 

@@ -121,7 +121,7 @@ class GrblRail(SerialRail):
             super().close()
 
     def _has_braked(self) -> bool:
-        """Whether a feed hold has brought the carriage to rest without loss."""
+        """Return whether a feed hold has brought the carriage to rest without loss."""
         try:
             within_s = self._reply_s + grbl.moving_s(self._settings, 0.0)
             report = self._report(within_s, STANDING, in_hold=True)
@@ -202,7 +202,7 @@ class GrblRail(SerialRail):
         )
 
     def _await_banner(self, within_s: float) -> bool:
-        """Whether the banner comes in time. Raises RailError for unknown firmware."""
+        """Return whether the banner comes in time. Raises RailError for unknown firmware."""
         deadline_s = time.monotonic() + within_s
         while (line := self._line(deadline_s)) is not None:
             if found := grbl.BANNER.search(line):

@@ -453,7 +453,7 @@ class Bench:
         self._visits[asked_mm] = Visit(asked_mm, self.range_mm, zero_mm, defocus, pose)
 
     def _fills_the_view(self) -> bool:
-        """Whether the glass is one grey and reaches beyond the camera's view, halo included."""
+        """Return whether the glass is one grey and reaches beyond the camera's view, halo included."""
         if self._codes.min() != self._codes.max():
             return False
         rows, cols = self.settings.sensor.rows, self.settings.sensor.cols

@@ -78,7 +78,7 @@ class Guard:
         return f"/{rest}"
 
     def _is_us(self, host: str, server: tuple[str, int | None]) -> bool:
-        """Whether a Host header names the address of this connection, unlike a rebound name."""
+        """Return whether a Host header names the address of this connection, unlike a rebound name."""
         try:
             parts = urlsplit(f"//{host}")
             name = (parts.hostname or "").lower()
@@ -116,7 +116,7 @@ class Connection(H11Protocol):
 
     @property
     def is_unknown(self) -> bool:
-        """Whether no request with the token has come over this open connection."""
+        """Return whether no request with the token has come over this open connection."""
         scope: dict[str, Any] | None = self.scope  # type: ignore[assignment]
         return not self.transport.is_closing() and (scope is None or LET_IN not in scope)
 

@@ -99,7 +99,7 @@ class WebDisplay(ClosesItself):
         return Shown((picture.shape[0], picture.shape[1]))
 
     def undisturbed(self) -> bool:
-        """Whether the picture stayed whole since `show`, by a fresh report, awaited as in `show`."""
+        """Return whether the picture stayed whole since `show`, by a fresh report, awaited as in `show`."""
         number = self._screen.request_report()
         now = self._hold(lambda: self._screen.problem is None and self._answered(number))
         if self._shown is None:

@@ -90,7 +90,7 @@ class Monitor:
 
     @property
     def holds(self) -> bool:
-        """Whether the operator has pressed pause."""
+        """Return whether the operator has pressed pause."""
         with self._lock:
             return self._paused and not self._stopping
 

@@ -143,7 +143,7 @@ class Screen:
         wake()
 
     def holds(self, page: object) -> bool:
-        """Whether a connection is the screen's latest."""
+        """Return whether a connection is the screen's latest."""
         return self._page is page
 
     def leave(self, page: object) -> None:
@@ -190,7 +190,7 @@ class Screen:
         return None
 
     def confirms(self, order: Order) -> bool:
-        """Whether the page has reported this picture on the glass without fault."""
+        """Return whether the page has reported this picture on the glass without fault."""
         report = self.report
         return (
             report is not None

@@ -49,7 +49,7 @@ class Reply:
 
     @property
     def is_fault(self) -> bool:
-        """Whether the axis's reported position is unreliable."""
+        """Return whether the axis's reported position is unreliable."""
         return self.flag[0] == "F" or self.flag in UNREFERENCED
 
 

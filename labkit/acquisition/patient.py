@@ -48,7 +48,7 @@ class PatientDevices:
 
     @property
     def can_cover(self) -> bool:
-        """Whether the camera covers its own lens."""
+        """Return whether the camera covers its own lens."""
         return isinstance(self.devices.camera, Coverable)
 
     def cover(self, closed: bool) -> None:

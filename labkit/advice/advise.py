@@ -112,7 +112,7 @@ class Advice:
 
     @property
     def magnification_determined(self) -> bool:
-        """Whether these ranges determine the pupil magnification."""
+        """Return whether these ranges determine the pupil magnification."""
         return self.session is not None and self.session.determined
 
     def as_json(self) -> dict[str, Any]:

@@ -83,7 +83,7 @@ class Outlook:
 
     @property
     def determined(self) -> bool:
-        """Whether the session determines the pupil magnification."""
+        """Return whether the session determines the pupil magnification."""
         return self.std["pupil_magnification"] <= TELLING_STD
 
     def open_numbers(self) -> list[str]:

@@ -253,7 +253,7 @@ class _Stream:
 
 
 def _is_full(error: LabkitError) -> bool:
-    """Whether an error is that of a full disk."""
+    """Return whether an error is that of a full disk."""
     cause: BaseException | None = error
     while cause is not None:
         if isinstance(cause, OSError) and cause.errno in NO_ROOM:

@@ -221,7 +221,7 @@ def pupil_magnification(lens: LensFit) -> Uncertain:
 
 
 def at_bound(pupils: Uncertain) -> bool:
-    """Whether a pupil magnification is at one of its bounds, which stopped the estimate."""
+    """Return whether a pupil magnification is at one of its bounds, which stopped the estimate."""
     least, most = SETTINGS.magnification_bounds
     return not 1.001 * least < pupils.value < most / 1.001
 

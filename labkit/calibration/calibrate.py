@@ -46,7 +46,7 @@ class Calibration:
 
     @property
     def light_known(self) -> bool:
-        """Whether flats determine the illumination, low orders and all."""
+        """Return whether flats determine the illumination, low orders and all."""
         return bool(self.illumination) and not self.panel_seen
 
 

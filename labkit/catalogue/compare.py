@@ -100,7 +100,7 @@ class Comparison:
 
     @property
     def same(self) -> bool:
-        """Whether the sessions may be of one lens, at `FALSE_ALARM`."""
+        """Return whether the sessions may be of one lens, at `FALSE_ALARM`."""
         return self.p_value >= FALSE_ALARM
 
     @property
@@ -217,7 +217,7 @@ def compare_results(
 
 
 def shares_wavelengths(results: Results) -> bool:
-    """Whether errors of wavelengths, which sessions of one body share, are in results."""
+    """Return whether errors of wavelengths, which sessions of one body share, are in results."""
     stated = {} if results.common is None else results.common.stated
     return any(name.startswith(WAVELENGTH_PREFIX) for name in stated)
 

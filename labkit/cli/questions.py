@@ -13,7 +13,7 @@ Value = TypeVar("Value")
 
 
 def at_terminal() -> bool:
-    """Whether somebody can be asked again."""
+    """Return whether somebody can be asked again."""
     return sys.stdin is not None and not sys.stdin.closed and sys.stdin.isatty()
 
 

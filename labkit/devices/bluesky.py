@@ -31,12 +31,12 @@ class Step:
 
     @property
     def done(self) -> bool:
-        """Whether the step has ended, successfully or not."""
+        """Return whether the step has ended, successfully or not."""
         return self._over.is_set()
 
     @property
     def success(self) -> bool:
-        """Whether the step ended successfully."""
+        """Return whether the step ended successfully."""
         return self.done and self._error is None
 
     def exception(self, timeout: float | None = 0.0) -> BaseException | None:

@@ -308,7 +308,7 @@ def _serial_ports() -> Iterator[SerialPort]:
 
 
 def _may_open(path: str) -> bool:
-    """Whether this user may read and write a device; an invisible file counts as allowed."""
+    """Return whether this user may read and write a device; an invisible file counts as allowed."""
     return not Path(path).exists() or os.access(path, os.R_OK | os.W_OK)
 
 

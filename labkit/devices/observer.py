@@ -57,7 +57,7 @@ class Holding(Protocol):
 
     @property
     def holds(self) -> bool:
-        """Whether `may_go_on` would hold the capture now."""
+        """Return whether `may_go_on` would hold the capture now."""
         ...
 
 

@@ -66,7 +66,7 @@ class Operator:
 
     @property
     def present(self) -> bool:
-        """Whether there is a terminal or a page to ask on."""
+        """Return whether there is a terminal or a page to ask on."""
         return bool(self._pages) or _terminal() is not None
 
     @property

@@ -272,5 +272,5 @@ class PictureChecking(Protocol):
     """A display that can lose its picture during an exposure, and detects the loss."""
 
     def undisturbed(self) -> bool:
-        """Whether the picture was on the glass all the time since `show` returned, by the display's own report."""
+        """Return whether the picture was on the glass all the time since `show` returned, by the display's own report."""
         ...

@@ -64,7 +64,7 @@ def near_focus(fit: EdgeFit, depth: int = 0) -> tuple[Side, ...] | None:
 
 
 def _is_parabola(fit: EdgeFit, depth: int) -> bool:
-    """Whether the likelihood falls on either side as its curvature predicts, or both sides are the same by symmetry."""
+    """Return whether the likelihood falls on either side as its curvature predicts, or both sides are the same by symmetry."""
     if not np.any(fit.problem.lens.mean):
         return True
     best, std = fit.defocus(depth)

@@ -61,7 +61,7 @@ class FoundEdge:
         return np.asarray(near)
 
     def apart(self, other: FoundEdge) -> bool:
-        """Whether two pieces, in samples, are of different edges and outside each other's sides."""
+        """Return whether two pieces, in samples, are of different edges and outside each other's sides."""
         y, x = np.subtract(self.middle, other.middle)
         across, along = turned(other.angle, x, y)
         reach = (self.length_px + other.length_px) / 2

@@ -147,7 +147,7 @@ def _least_gain(fits: Sequence[Optimum]) -> float:
 
 
 def _far(name: str) -> bool:
-    """Whether only a fit determines the gain of a part, and no score test."""
+    """Return whether only a fit determines the gain of a part, and no score test."""
     return name in KNOWN and KNOWN[name].far
 
 
@@ -170,7 +170,7 @@ class Fitted:
         return self.gain(before) - cost(self.parts) + cost(before.parts)
 
     def better(self, before: Fitted) -> bool:
-        """Whether parts gain more than they cost, and added parts explain a further fit or their share."""
+        """Return whether parts gain more than they cost, and added parts explain a further fit or their share."""
         gain = self.net_gain(before)
         if gain <= 0 or not self.parts - before.parts:
             return gain > 0

@@ -134,7 +134,7 @@ class Candidate:
 
 
 def mostly_unexplained(explained: Iterable[bool]) -> bool:
-    """Whether the residuals of most fits are not noise alone: the model is then incomplete for all."""
+    """Return whether the residuals of most fits are not noise alone: the model is then incomplete for all."""
     every = list(explained)
     return 2 * every.count(False) > len(every)
 

@@ -484,7 +484,7 @@ class _Drawn(Position):
 
 
 def sane(state: State, start: State) -> bool:
-    """Whether a trial is plausible: positive light, every corner in front of the lens and near the start's corner.
+    """Return whether a trial is plausible: positive light, every corner in front of the lens and near the start's corner.
 
     Corners are known to about a pixel beforehand; half of the target's size is allowed. Without the test a pose with a
     defocus far off diverged to a target too magnified to draw in memory.

@@ -35,7 +35,7 @@ def shift(optimum: Optimum, with_missing: Optimum) -> tuple[Floats, float]:
 
 
 def confirmed(session: Estimate, index: int) -> bool:
-    """Whether a fit is at the optimum that explains its frames once the missing parts are in the model."""
+    """Return whether a fit is at the optimum that explains its frames once the missing parts are in the model."""
     optimum = session.fits[index].optimum
     complete = session.with_all_parts(index)
     if optimum is complete or not complete.verdict.accepted:

@@ -45,7 +45,7 @@ class LocalFit:
 
     @property
     def ranged(self) -> bool:
-        """Whether the fit contributes to the lens."""
+        """Return whether the fit contributes to the lens."""
         return is_ranged(self.observation, self.optimum.noll)
 
 
@@ -102,7 +102,7 @@ class Estimate:
 
 
 def is_ranged(observation: Observation, noll: tuple[int, ...]) -> bool:
-    """Whether an observation contributes to the lens: its range is known, and defocus is fitted."""
+    """Return whether an observation contributes to the lens: its range is known, and defocus is fitted."""
     return observation.measured_range_mm is not None and DEFOCUS in noll
 
 

@@ -139,7 +139,7 @@ class Expansion:
         )
 
     def sane_after(self, step: Floats, start: State) -> bool:
-        """Whether a step (p,) leads to a state worth drawing, with camera parts that a camera may have."""
+        """Return whether a step (p,) leads to a state worth drawing, with camera parts that a camera may have."""
         parts = self.optics_after(step).camera_parameters[:-1]
         usual = np.all(np.abs(parts) < SETTINGS.unknown * self.optics.camera_stds[:-1])
         return bool(usual) and sane(self.moved(step), start)

@@ -89,12 +89,12 @@ class Laws:
 
     @property
     def paraxial(self) -> bool:
-        """Whether working f-numbers and sizes follow from one lens that is focused as a whole."""
+        """Return whether working f-numbers and sizes follow from one lens that is focused as a whole."""
         return self.f_number_std == 0
 
     @property
     def shared(self) -> bool:
-        """Whether all modes except defocus are the same at all ranges."""
+        """Return whether all modes except defocus are the same at all ranges."""
         return self.mode_scatter == 0
 
     @classmethod

@@ -111,7 +111,7 @@ class LensModel:
 
     @cached_property
     def tiled(self) -> bool:
-        """Whether observations are of tiles of the field."""
+        """Return whether observations are of tiles of the field."""
         return any(reading.key.tile is not None for reading in self.readings)
 
     @cached_property

@@ -137,7 +137,7 @@ class Found:
 
     @property
     def settled(self) -> bool:
-        """Whether enough starts returned to the best optimum."""
+        """Return whether enough starts returned to the best optimum."""
         return self.returns >= SETTINGS.enough_returns
 
     def joined(self, later: Found) -> Found:
@@ -394,7 +394,7 @@ def _with(optima: Sequence[Optimum], new: Optimum) -> list[Optimum]:
 
 
 def _alike(one: Optimum, other: Optimum) -> bool:
-    """Whether two ends are one optimum, or twins: equally likely, or nearer than a fraction of a standard error."""
+    """Return whether two ends are one optimum, or twins: equally likely, or nearer than a fraction of a standard error."""
     near = min(
         float(np.linalg.norm(one.waves - w))
         for w in (other.waves, other.waves * twin_signs(other.noll))
@@ -407,7 +407,7 @@ def _alike(one: Optimum, other: Optimum) -> bool:
 
 
 def _as_predicted(optimum: Optimum, waves: Floats) -> bool:
-    """Whether an end has the predicted modes, except for defocus: then its residuals are a test of the model."""
+    """Return whether an end has the predicted modes, except for defocus: then its residuals are a test of the model."""
     return float(np.linalg.norm((optimum.waves - waves)[1:])) < SETTINGS.sure_waves
 
 

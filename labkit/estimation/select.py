@@ -232,7 +232,7 @@ class _Choices:
 
 
 def poor_model(observed: Sequence[Observed]) -> bool:
-    """Whether the model is incomplete for all: the residuals of most observations are not noise alone."""
+    """Return whether the model is incomplete for all: the residuals of most observations are not noise alone."""
     return mostly_unexplained(
         any(c.explained for c in one.candidates) for one in observed if one.candidates
     )

@@ -259,7 +259,7 @@ class _Loop:
         return doubted
 
     def _new(self, k: int, waves: Floats) -> bool:
-        """Whether no climb of an observation began near a wavefront, and further climbs are allowed."""
+        """Return whether no climb of an observation began near a wavefront, and further climbs are allowed."""
         before = self.starts.get(k, [])
         far = all(
             np.linalg.norm(waves[: one.size] - one[: waves.size])

@@ -63,7 +63,7 @@ class Retrieved:
 
     @property
     def ended(self) -> bool:
-        """Whether enough starts returned to the best optimum, or enough starts were made."""
+        """Return whether enough starts returned to the best optimum, or enough starts were made."""
         return bool(self.optima) and (
             self.starts >= 2 * SETTINGS.most_starts
             or self.optima[0].met >= SETTINGS.enough_returns

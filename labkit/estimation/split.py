@@ -57,7 +57,7 @@ def find_change(session: Estimate) -> Change | None:
 
 
 def second_camp(session: Estimate) -> bool:
-    """Whether the outliers agree with each other: they follow a lens of their own, under all its laws."""
+    """Return whether the outliers agree with each other: they follow a lens of their own, under all its laws."""
     observed = [_observed(session, k) for k in session.outliers]
     if session.lens is None or len({one.reading.station for one in observed}) < 2:
         return False

@@ -129,17 +129,17 @@ class Log:
 
     @property
     def late(self) -> bool:
-        """Whether the user's cap is reached."""
+        """Return whether the user's cap is reached."""
         return process_time() > self.ends_at
 
     @property
     def over(self) -> bool:
-        """Whether the search makes no further start."""
+        """Return whether the search makes no further start."""
         return self.late or self.settled or self.starts >= self.most
 
     @property
     def settled(self) -> bool:
-        """Whether enough starts returned to the best optimum."""
+        """Return whether enough starts returned to the best optimum."""
         return self.returns >= SETTINGS.enough_returns
 
     def best(self) -> list[State]:
@@ -354,7 +354,7 @@ def further_start(
 
 
 def _near(state: State, other: State) -> bool:
-    """Whether two states have one wavefront."""
+    """Return whether two states have one wavefront."""
     return bool(np.linalg.norm(state.waves - other.waves) < SETTINGS.other_optimum_waves)
 
 

@@ -142,12 +142,12 @@ class StrongSearch:
 
 
 def _known(waves: Floats, others: Sequence[Floats]) -> bool:
-    """Whether a wavefront (modes,) is one of others. Steps between stations give it its sign, so no twin counts."""
+    """Return whether a wavefront (modes,) is one of others. Steps between stations give it its sign, so no twin counts."""
     return any(np.linalg.norm(waves - one) < SETTINGS.sure_waves for one in others)
 
 
 def _contradictory(optima: list[Optimum]) -> bool:
-    """Whether optima of several stations, none of them explained, have other modes, their twins too."""
+    """Return whether optima of several stations, none of them explained, have other modes, their twins too."""
     return (
         len(optima) > 1
         and optima[0].noll[0] == DEFOCUS
@@ -157,7 +157,7 @@ def _contradictory(optima: list[Optimum]) -> bool:
 
 
 def _agree(optima: list[Optimum], within_waves: float) -> bool:
-    """Whether optima, or their twins, have the same modes but for defocus, to an RMS difference."""
+    """Return whether optima, or their twins, have the same modes but for defocus, to an RMS difference."""
     first, *others = optima
     return all(
         min(

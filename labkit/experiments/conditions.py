@@ -83,7 +83,7 @@ class Trial:
         return float(np.linalg.norm(bound.std[: len(self.noll)]))
 
     def found(self, waves: Floats) -> bool:
-        """Whether an estimate is in the optimum of the truth, or of its twin."""
+        """Return whether an estimate is in the optimum of the truth, or of its twin."""
         return bool(np.linalg.norm(self.error(waves)) < FOUND_BOUNDS * self.bound)
 
     def fit(self, rng: np.random.Generator) -> Found:

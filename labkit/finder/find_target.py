@@ -224,7 +224,7 @@ def _believable(agreement: Agreement) -> bool:
 
 
 def _whole(corners: Floats) -> bool:
-    """Whether a quadrilateral is convex, and no sliver."""
+    """Return whether a quadrilateral is convex, and no sliver."""
     shortest = float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).min())
     return shortest >= LEAST_TARGET_SIDE_PX and cv2.isContourConvex(
         corners.astype(np.float32)

@@ -120,7 +120,7 @@ def _among_ranges(sizes: Sequence[_Size], plan: Plan) -> str | None:
 
 
 def _agree(one: _Size, other: _Size, plan: Plan) -> bool:
-    """Whether sizes at two ranges are inverse to distances, within errors of the range zero and of the pupil's place."""
+    """Return whether sizes at two ranges are inverse to distances, within errors of the range zero and of the pupil's place."""
     zero_mm = STDS * plan.fit.range_zero_std_mm + plan.lens.focal_length_mm
     allowed = REFOCUSED + zero_mm * abs(1 / one.away_mm - 1 / other.away_mm)
     allowed += CORNERS_PX * (1 / one.side_px + 1 / other.side_px)

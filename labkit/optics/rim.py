@@ -132,7 +132,7 @@ class Rim:
 
     @property
     def is_round(self) -> bool:
-        """Whether the pupil is a clear disc."""
+        """Return whether the pupil is a clear disc."""
         return not (self.cuts or any(self.uneven) or self.obstructed)
 
     def turned(self, angle: float) -> Rim:
@@ -158,7 +158,7 @@ class Rim:
         return float(np.sqrt(max(self.obstructed, 0.0) / (1 - self.obstructed)))
 
     def inside(self, x: Floats, y: Floats) -> Bools:
-        """Whether points lie in the clear part."""
+        """Return whether points lie in the clear part."""
         rho = np.hypot(x, y)
         if self.is_round:
             return np.asarray(rho <= 1)

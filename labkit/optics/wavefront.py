@@ -146,7 +146,7 @@ class FittedWavefront:
 
     @property
     def exact(self) -> bool:
-        """Whether the wavefront has no errors: numbers computed from it need no derivatives."""
+        """Return whether the wavefront has no errors: numbers computed from it need no derivatives."""
         return not (self.covariance.any() or self.f_number_std)
 
     @property

@@ -65,7 +65,7 @@ def nm_to_noll(n: int, m: int) -> int:
 
 
 def is_even(j: int) -> bool:
-    """Whether Noll mode j has even radial order: Z(-w) = Z(w). Such modes change sign in the twin."""
+    """Return whether Noll mode j has even radial order: Z(-w) = Z(w). Such modes change sign in the twin."""
     return noll_to_nm(j)[0] % 2 == 0
 
 

@@ -37,7 +37,7 @@ class Encoding:
 
     @property
     def stated(self) -> bool:
-        """Whether the file states anything."""
+        """Return whether the file states anything."""
         return bool(self.icc) or self.srgb or self.power is not None
 
 

@@ -121,7 +121,7 @@ class Photograph:
         return float(self.black[rows.start, columns.start])
 
     def has(self, name: str) -> bool:
-        """Whether the filter array has a colour."""
+        """Return whether the filter array has a colour."""
         any_colour = self.pattern in (MONO, IN_COLOURS)
         return any_colour or any(name in row for row in self.pattern)
 

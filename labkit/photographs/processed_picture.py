@@ -38,7 +38,7 @@ def read_file(path: Path) -> Picture:
 
 
 def is_processed(picture: Picture, container: Container, sensor: Sensor) -> bool:
-    """Whether a picture is no mosaic of bare linear numbers."""
+    """Return whether a picture is no mosaic of bare linear numbers."""
     return (
         picture.numbers.ndim == 3
         or container.kind == "jpeg"

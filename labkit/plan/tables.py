@@ -298,7 +298,7 @@ class CameraSettings(Table):
 
     @property
     def captures(self) -> bool:
-        """Whether a capture can use it: not where it names the body alone."""
+        """Return whether a capture can use it: not where it names the body alone."""
         return bool(self.address)
 
     @model_validator(mode="after")
@@ -389,7 +389,7 @@ class DisplaySettings(Table):
 
     @property
     def by_hand(self) -> bool:
-        """Whether a person puts the target before the camera."""
+        """Return whether a person puts the target before the camera."""
         return self.address == BY_HAND
 
     @model_validator(mode="after")
@@ -416,7 +416,7 @@ BY_HAND = "manual:"
 
 
 def _is_convex(corners: tuple[tuple[float, float], ...]) -> bool:
-    """Whether going round the corners turns the same way at each."""
+    """Return whether going round the corners turns the same way at each."""
     turns = []
     for i in range(4):
         (r0, c0), (r1, c1), (r2, c2) = corners[i - 2], corners[i - 1], corners[i]

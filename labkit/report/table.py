@@ -164,7 +164,7 @@ class Table:
 
     @property
     def units(self) -> bool:
-        """Whether any column has a unit."""
+        """Return whether any column has a unit."""
         return any(column.unit for column in self.columns)
 
 

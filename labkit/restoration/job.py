@@ -132,7 +132,7 @@ class Job:
         return replace(self, colours=colours, coupling=np.linalg.inv(covariance))
 
     def sees(self, component: int) -> bool:
-        """Whether a plane has usable counts of a colour."""
+        """Return whether a plane has usable counts of a colour."""
         return any(
             photograph.used[self.plane(place)].sum() >= LEAST_USED
             for photograph in self.photographs

@@ -235,7 +235,7 @@ class Wavefront:
 
     @property
     def accepted(self) -> bool:
-        """Whether the optimum was tested and not rejected."""
+        """Return whether the optimum was tested and not rejected."""
         return self.test is not None and self.test.accepted
 
     @property

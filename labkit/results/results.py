@@ -214,7 +214,7 @@ class Results:
 
     @property
     def holds(self) -> bool:
-        """Whether every optimum is found and the model explains all photographs: then all numbers hold."""
+        """Return whether every optimum is found and the model explains all photographs: then all numbers hold."""
         return all(w.accepted and verdicts.explained(w) for w in self.wavefronts)
 
     @property

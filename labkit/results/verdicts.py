@@ -41,7 +41,7 @@ def model_word(test: OptimumTest | None) -> str:
 
 
 def confirmed(wavefront: Wavefront, wavefronts: Sequence[Wavefront]) -> bool:
-    """Whether the errors of a wavefront's numbers are known.
+    """Return whether the errors of a wavefront's numbers are known.
 
     The optimum must be found, and the model must explain the photographs or another range of the channel must be fitted: what
     a model lacks shows as a difference between ranges, which errors include.
@@ -107,7 +107,7 @@ def _holding(
 
 
 def explained(wavefront: Wavefront) -> bool:
-    """Whether the residuals of a wavefront were tested and are noise alone."""
+    """Return whether the residuals of a wavefront were tested and are noise alone."""
     return wavefront.test is not None and wavefront.test.explains
 
 

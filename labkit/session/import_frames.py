@@ -151,7 +151,7 @@ def _targets(rows: Sequence[Row]) -> bool:
 
 
 def _photon_transfer(rows: Sequence[Row]) -> bool:
-    """Whether the list is a photon-transfer series, whose flats may be as dark or as bright as any."""
+    """Return whether the list is a photon-transfer series, whose flats may be as dark or as bright as any."""
     kinds = Counter(row.kind for row in rows)
     return not _targets(rows) and min(kinds["flat"], kinds["dark"]) > 1
 

@@ -144,7 +144,7 @@ def _parse(content: bytes, path: Path) -> Journal:
 
 
 def is_being_written(path: Path) -> bool:
-    """Whether some process has the journal open to append."""
+    """Return whether some process has the journal open to append."""
     try:
         with path.open("rb") as file:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)

@@ -79,7 +79,7 @@ def unused(session: Session) -> list[Finding]:
 
 
 def is_safe(session: Session) -> bool:
-    """Whether journal and folder contain everything that a session holds in memory, by a quick look."""
+    """Return whether journal and folder contain everything that a session holds in memory, by a quick look."""
     try:
         kept = {frame.file for frame in Session.open(session.folder).frames}
         return all(

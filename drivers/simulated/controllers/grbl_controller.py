@@ -206,7 +206,7 @@ class GrblController:
         self._greet()
 
     def has_room(self) -> bool:
-        """Whether another move can be queued."""
+        """Return whether another move can be queued."""
         return len(self.machine.planned) < self.firmware.blocks
 
     def begin_homing(self) -> None:
@@ -387,7 +387,7 @@ class GrblController:
         self._until_refresh["WCO"] = 0
 
     def _turn(self, name: str, moving: bool) -> bool:
-        """Whether a field stands in this report."""
+        """Return whether a field stands in this report."""
         if self._until_refresh[name]:
             self._until_refresh[name] -= 1
             return False

@@ -118,7 +118,7 @@ class Machine:
         self._is_homed = False
 
     def outside(self, target: Point) -> bool:
-        """Whether soft limits, if they are on, forbid a target."""
+        """Return whether soft limits, if they are on, forbid a target."""
         if not self._settings[SOFT_LIMITS] or (
             self._only_when_homed and not self._is_homed
         ):
@@ -136,7 +136,7 @@ class Machine:
         return False
 
     def on_switch(self, now_s: float) -> bool:
-        """Whether X's limit switch is pressed."""
+        """Return whether X's limit switch is pressed."""
         return self._has_low_switch and self.carriage_mm(now_s) <= self._switch_mm
 
     def trips_s(self) -> float | None:

@@ -111,7 +111,7 @@ def _associates(waves: Floats) -> Floats:
 
 
 def is_trivial(waves: Floats, other: Floats, tolerance: float) -> bool:
-    """Whether a wavefront is a trivial associate of another: its negative or twin, at any rotation.
+    """Return whether a wavefront is a trivial associate of another: its negative or twin, at any rotation.
 
     Parameters
     ----------

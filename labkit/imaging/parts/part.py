@@ -67,12 +67,12 @@ class Part(Estimated):
 
     @property
     def idle(self) -> bool:
-        """Whether the part leaves the transfer function behind the lens unchanged."""
+        """Return whether the part leaves the transfer function behind the lens unchanged."""
         return not any(self.values)
 
     @property
     def at_bound(self) -> bool:
-        """Whether an estimate ended at the limit of what the part can be, beyond which it would be no such thing."""
+        """Return whether an estimate ended at the limit of what the part can be, beyond which it would be no such thing."""
         return False
 
     def transfer(self, rows: AnyFloats, columns: AnyFloats) -> AnyFloats:
