@@ -186,12 +186,13 @@ class GrblRail(SerialRail):
         """Reset softly. Queued lines, and pending replies, end with the banner in answer.
 
         An Arduino restarts when its port is opened and sleeps through the reset; its own
-        banner comes instead.
+        banner comes instead. A controller that was slow, and not asleep, answers the
+        second reset too: its banner is awaited: later it would look like a restart.
         """
-        for _ in range(2):
+        for quiet_s in (BANNER_QUIET_S, self._reply_s + BANNER_QUIET_S):
             self._send(RESET_BYTE)
             if self._await_banner(self._reply_s):
-                while self._line(time.monotonic() + BANNER_QUIET_S) is not None:
+                while self._line(time.monotonic() + quiet_s) is not None:
                     pass
                 self._offset_mm = None
                 self._under_way = self._homing = False

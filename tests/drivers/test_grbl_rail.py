@@ -272,6 +272,15 @@ def test_what_is_no_grbl_1_1_is_told_so(
         GrblRail(path, reply_s=0.2)
 
 
+@pytest.mark.parametrize("late_s", [0.55, 0.7, 0.9])
+def test_banners_of_two_resets_are_both_awaited(late_s: float) -> None:
+    with a_port() as port:
+        port.strike("late", late_s)
+        with a_rail(port) as rail:
+            rail.home()
+            assert rail.move_to(-150.0) == pytest.approx(-150.0, abs=0.01)
+
+
 def test_a_stop_from_another_thread_keeps_the_position() -> None:
     with a_port({110: 3000, 120: 500}) as port, a_rail(port) as rail:
         rail.home()
