@@ -1,0 +1,154 @@
+"""The wavefront over the field: a double Zernike expansion, in the place on the sensor and in the pupil.
+
+W(H; ρ) = Σ c_kj Z_k(H / H_max) Z_j(ρ), both in Noll's order (I. W. Kwee and J. J. M. Braat, Pure Appl. Opt. 2, 21 (1993)). H is a
+place on the sensor in mm from the frame's centre, x along the rows to the right, y down, as in the pupil; H_max is half the
+frame's diagonal. Noll 4 is defocus at the best focus of the reference channel, as a mean over the field: its terms with k > 1
+are the shape of the focal surface.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from labkit.arrays import real_array
+from labkit.optics.lens import blur_per_wave_um
+from labkit.optics.wavefront import DEFOCUS, FittedWavefront
+from labkit.optics.zernike import zernike
+from labkit.types import Floats
+
+
+@dataclass(frozen=True)
+class FieldFrame:
+    """The frame of a sensor: the coordinates of the field.
+
+    Parameters
+    ----------
+    shape_px : (rows, columns) of the raw image
+    pixel_pitch_um : of the raw's pixels
+    """
+
+    shape_px: tuple[int, int]
+    pixel_pitch_um: float
+
+    @property
+    def centre_px(self) -> Floats:
+        """(row, column) of the frame's centre; pixel centres are at integers."""
+        return (np.array(self.shape_px) - 1) / 2
+
+    @property
+    def radius_mm(self) -> float:
+        """Half the frame's diagonal, the unit of the field's polynomials."""
+        return float(np.hypot(*self.shape_px) / 2 * self.pixel_pitch_um * 1e-3)
+
+    def heights_mm(self, places_px: ArrayLike) -> Floats:
+        """Return (..., 2) image heights (y down, x right) in mm from the centre, of places (..., 2) as (row, column)."""
+        away = np.asarray(places_px, float) - self.centre_px
+        return np.asarray(away * self.pixel_pitch_um * 1e-3)
+
+    def places_px(self, heights_mm: ArrayLike) -> Floats:
+        """Return the places (..., 2) of image heights (..., 2)."""
+        return np.asarray(heights_mm, float) / (self.pixel_pitch_um * 1e-3) + self.centre_px
+
+    def polynomials(self, field: Sequence[int], places_px: ArrayLike) -> Floats:
+        """Return the field's Zernike polynomials (terms, ...) at places (..., 2); the corners are at radius 1."""
+        heights = self.heights_mm(places_px) / self.radius_mm
+        rho = np.hypot(heights[..., 0], heights[..., 1])
+        theta = np.arctan2(heights[..., 0], heights[..., 1])
+        return np.stack([zernike(k, rho, theta) for k in field])
+
+
+def field_terms(order: int) -> tuple[int, ...]:
+    """Return Noll's numbers of the field's polynomials up to a radial order: order 2 has 1 to 6."""
+    return tuple(range(1, (order + 1) * (order + 2) // 2 + 1))
+
+
+@dataclass(frozen=True, eq=False)
+class FieldModel:
+    """The wavefront of each channel at every place of the frame, with errors.
+
+    Parameters
+    ----------
+    frame : coordinates
+    channels : names
+    field : Noll's numbers of the field's polynomials, from 1
+    noll : Noll's numbers of the pupil's modes, with 4
+    waves : (channels, field terms, modes) coefficients, waves RMS at the reference wavelength
+    covariance : of `waves.ravel()`
+    wavelengths_nm : (channels,)
+    reference_nm : of the unit of waves
+    f_number, f_number_std : of the cone at the sensor
+
+    Raises
+    ------
+    ValueError : arrays of other shapes, or modes without defocus
+    """
+
+    frame: FieldFrame
+    channels: tuple[str, ...]
+    field: tuple[int, ...]
+    noll: tuple[int, ...]
+    waves: Floats
+    covariance: Floats
+    wavelengths_nm: tuple[float, ...]
+    reference_nm: float
+    f_number: float
+    f_number_std: float = 0.0
+
+    def __post_init__(self) -> None:
+        shape = (len(self.channels), len(self.field), len(self.noll))
+        real_array("waves", self.waves, shape, "waves RMS")
+        size = int(np.prod(shape))
+        real_array("covariance", self.covariance, (size, size), "waves RMS squared")
+        if DEFOCUS not in self.noll or self.field[:1] != (1,):
+            raise ValueError("a field needs Noll 4 in the pupil and 1 in the field")
+
+    @property
+    def um_per_wave(self) -> float:
+        """Shift of focus on the sensor, um, that changes Noll 4 by a wave RMS at the reference wavelength.
+
+        Noll 4 grows where the image moves from the sensor towards the lens, as of a target that goes away.
+        """
+        blur_um = blur_per_wave_um(self.f_number, 1e-3 * self.reference_nm)
+        return self.f_number * blur_um
+
+    def index(self, channel: str, field: int, pupil: int) -> int:
+        """Return the place of a coefficient in `waves.ravel()`. Raises ValueError for one that is not there."""
+        at = (
+            self.channels.index(channel),
+            self.field.index(field),
+            self.noll.index(pupil),
+        )
+        return int(np.ravel_multi_index(at, self.waves.shape))
+
+    def rows(self, channel: str, places_px: ArrayLike) -> Floats:
+        """Return (..., modes, coefficients): the modes at places (..., 2) as linear combinations of `waves.ravel()`."""
+        at = np.moveaxis(self.frame.polynomials(self.field, places_px), 0, -1)
+        rows = np.zeros((*at.shape[:-1], len(self.noll), *self.waves.shape))
+        for mode in range(len(self.noll)):
+            rows[..., mode, self.channels.index(channel), :, mode] = at
+        return rows.reshape(*rows.shape[: -self.waves.ndim], -1)
+
+    def modes(self, channel: str, places_px: ArrayLike) -> tuple[Floats, Floats]:
+        """Return the modes (..., modes), waves RMS, at places (..., 2), and their covariances (..., modes, modes)."""
+        rows = self.rows(channel, places_px)
+        return rows @ self.waves.ravel(), rows @ self.covariance @ rows.swapaxes(-1, -2)
+
+    def wavefront(
+        self, channel: str, place_px: ArrayLike, sensor_um: float = 0.0
+    ) -> FittedWavefront:
+        """Return the wavefront of a channel at a place (row, column), with the sensor moved away from the lens by some um."""
+        waves, covariance = self.modes(channel, place_px)
+        waves[..., self.noll.index(DEFOCUS)] += sensor_um / self.um_per_wave
+        return FittedWavefront(
+            self.noll,
+            waves,
+            covariance,
+            self.wavelengths_nm[self.channels.index(channel)],
+            self.reference_nm,
+            self.f_number,
+            self.f_number_std,
+        )
