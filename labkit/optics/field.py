@@ -1,6 +1,6 @@
 """The wavefront over the field: a double Zernike expansion, in the place on the sensor and in the pupil.
 
-W(H; ρ) = Σ c_kj Z_k(H / H_max) Z_j(ρ), both in Noll's order (I. W. Kwee and J. J. M. Braat, Pure Appl. Opt. 2, 21 (1993)). H is a
+W(H; ρ) = Σ c_kj Z_k(H / H_max) Z_j(ρ), both in Noll's order (Kwee and Braat, Pure Appl. Opt. 2, 21 (1993)). H is a
 place on the sensor in mm from the frame's centre, x along the rows to the right, y down, as in the pupil; H_max is half the
 frame's diagonal. Noll 4 is defocus at the best focus of the reference channel, as a mean over the field: its terms with k > 1
 are the shape of the focal surface.
