@@ -23,7 +23,7 @@ LIBRARIES = {
 
 NO_NUMERICS = {
     *("acquisition", "advice", "catalogue", "cli", "devices", "drivers"),
-    *("edges", "experiments", "noise", "report", "restoration"),
+    *("edges", "experiments", "field", "noise", "report", "restoration"),
     *("cluster.py", "demo.py", "execute.py", "processes.py"),
 }
 """Rooms whose source no fit depends on."""

@@ -24,7 +24,7 @@ LAYERS = {
     "estimation": ["estimation"],
     "subjects": [
         *("analysis", "advice", "restoration", "edges", "catalogue", "experiments"),
-        "noise",
+        *("noise", "field"),
     ],
     "faces": ["report", "demo", "cli"],
 }
@@ -35,6 +35,7 @@ ORDER = [room for rooms in LAYERS.values() for room in rooms]
 NO_ARROW = {
     "analysis": {"devices", "acquisition"},
     "report": {"estimation", "analysis", "calibration", "finder", "devices"},
+    "field": {"estimation", "analysis", "calibration", "finder", "devices"},
     "results": {"imaging", "panel"},
 }
 """Rooms that a room must not import though they come before it."""
