@@ -57,23 +57,39 @@ def square_hypotheses(image: Singles, side_fraction: float) -> Iterator[Floats]:
     """
     factor = max(1, max(image.shape) // SEARCH_SIDE)
     image = binned(image, factor)
-    quads: list[Floats] = []
-    for binary in _thresholded(image):
-        contours, _ = cv2.findContours(binary, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
-        quads += [
-            quad
-            for contour in contours
-            if (quad := _quadrilateral(np.asarray(contour, dtype=np.int32))) is not None
-        ]
-    quads.sort(key=_area, reverse=True)
+    quads = [quad for binary in _thresholded(image) for quad in _quadrilaterals(binary)]
+    yield from _widened(quads, side_fraction, factor)
+
+
+def levelled_hypotheses(
+    image: Singles, side_fraction: float, factor: int
+) -> Iterator[Floats]:
+    """Yield corners like `square_hypotheses`, of one threshold after the other: for pictures with many squares.
+
+    factor: by which the picture is binned down before it is searched.
+    """
+    for binary in _thresholded(binned(image, factor)):
+        yield from _widened(_quadrilaterals(binary), side_fraction, factor)
+
+
+def _quadrilaterals(binary: NDArray[np.uint8]) -> list[Floats]:
+    contours, _ = cv2.findContours(binary, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+    return [
+        quad
+        for contour in contours
+        if (quad := _quadrilateral(np.asarray(contour, dtype=np.int32))) is not None
+    ]
+
+
+def _widened(quads: list[Floats], side_fraction: float, factor: int) -> Iterator[Floats]:
+    """Yield a target's corners about each distinct quadrilateral, largest first."""
     distinct: list[Floats] = []
-    for quad in quads:
-        if all(
-            np.max(np.abs(quad - other)) > 0.08 * np.sqrt(_area(quad)) for other in distinct
-        ):
-            distinct.append(quad)
-    for quad in distinct:
-        unit = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], np.float32)
+    unit = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], np.float32)
+    for quad in sorted(quads, key=_area, reverse=True):
+        near = 0.08 * np.sqrt(_area(quad))
+        if any(np.max(np.abs(quad - other)) <= near for other in distinct):
+            continue
+        distinct.append(quad)
         widened = cv2.perspectiveTransform(
             (unit / side_fraction)[None],
             cv2.getPerspectiveTransform(unit, quad.astype(np.float32)),

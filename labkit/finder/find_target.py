@@ -87,15 +87,15 @@ def find_target(
     TargetError
         the target is not in the frame, or outside by more than 5 % of its side
     """
-    picture = _normalised(_picture("image", image))
+    picture = prepared(image)
     agreements: list[Agreement] = []
     complaints: list[TargetError] = []
     for start in _hypotheses(picture, target, mm_per_pixel):
         corners, agreement = register(picture, target, start)
-        if not _whole(corners):
+        if not is_target_shaped(corners):
             continue
         agreements.append(agreement)
-        if not (_believable(agreement) and _right_scale(corners, target, mm_per_pixel)):
+        if not (believable(agreement) and right_scale(corners, target, mm_per_pixel)):
             continue
         if complaints and agreement.whole < BEYOND_DOUBT:
             continue
@@ -155,6 +155,14 @@ def grey_image(counts: ArrayLike, pattern: Sequence[str]) -> Floats:
     )
 
 
+def prepared(image: ArrayLike) -> Singles:
+    """Return an image as the search takes it: black about 0, white about 1, without hot pixels and gaps.
+
+    Raises TargetError for an image without contrast or pixels.
+    """
+    return _normalised(_picture("image", image))
+
+
 def _picture(name: str, value: ArrayLike) -> Floats:
     """Return an image as float64, with NaN where there is no value."""
     real_array(
@@ -196,16 +204,15 @@ def _hypotheses(
         likely = (
             corners
             for corners in square_hypotheses(picture, fraction)
-            if _right_scale(corners, target, mm_per_pixel, slack=2.0)
+            if right_scale(corners, target, mm_per_pixel, slack=2.0)
             and quick_agreement(picture, target, corners) > 0.3
         )
         starts = islice(likely, MOST_HYPOTHESES)
-    return chain(starts, _swept(picture, target, mm_per_pixel))
+    return chain(starts, swept(picture, target, mm_per_pixel))
 
 
-def _swept(
-    picture: Singles, target: Target, mm_per_pixel: float | None
-) -> Iterator[Floats]:
+def swept(picture: Singles, target: Target, mm_per_pixel: float | None) -> Iterator[Floats]:
+    """Yield the likeliest places of any target, by correlation over scale, rotation and position."""
     if mm_per_pixel is not None:
         middle = target.size_mm[0] / mm_per_pixel
         low, high = middle * (1 - SCALE_TOLERANCE), middle * (1 + SCALE_TOLERANCE)
@@ -216,14 +223,15 @@ def _swept(
     yield from swept_hypotheses(picture, target, np.geomspace(low, high, steps + 1))
 
 
-def _believable(agreement: Agreement) -> bool:
+def believable(agreement: Agreement) -> bool:
+    """Whether a picture agrees with the target everywhere."""
     return (
         min(agreement.whole, agreement.median_part, 2 * agreement.least_part)
         >= LEAST_AGREEMENT
     )
 
 
-def _whole(corners: Floats) -> bool:
+def is_target_shaped(corners: Floats) -> bool:
     """Return whether a quadrilateral is convex, and no sliver."""
     shortest = float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).min())
     return shortest >= LEAST_TARGET_SIDE_PX and cv2.isContourConvex(
@@ -231,9 +239,10 @@ def _whole(corners: Floats) -> bool:
     )
 
 
-def _right_scale(
+def right_scale(
     corners: Floats, target: Target, mm_per_pixel: float | None, slack: float = 1.3
 ) -> bool:
+    """Whether a target's size agrees with the scale, if that is known."""
     if mm_per_pixel is None:
         return True
     ratio = (

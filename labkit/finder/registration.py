@@ -104,14 +104,14 @@ def parent_agreement(image: Singles, target: Target, corners: Floats) -> float:
     possible places of the larger carpet, outside of `corners`.
     """
     unit = np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, 1.0], [1.0, -1.0]])
-    image_from_small = _homography(unit, corners)
+    image_from_small = homography(unit, corners)
     best = 0.0
     for row in (-2.0, 0.0, 2.0):
         for col in (-2.0, 0.0, 2.0):
             if row == col == 0.0:
                 continue
             # the large target's corners in the small one's units, which reach from -1 to 1
-            large = _mapped(image_from_small, 3 * unit - np.array([row, col]))
+            large = mapped(image_from_small, 3 * unit - np.array([row, col]))
             factor = max(1, round(_side(large) / 243))
             picture = binned(image, factor)
             at = (large + 0.5) / factor - 0.5
@@ -169,7 +169,7 @@ def _render(target: Target, side_px: float) -> _Template:
     )
 
 
-def _homography(source: Floats, destination: Floats) -> Floats:
+def homography(source: Floats, destination: Floats) -> Floats:
     """Return the 3×3 map of (x, y) from four (row, col) points to four others."""
     x_y = [
         np.ascontiguousarray(points[:, ::-1], dtype=np.float32)
@@ -178,9 +178,9 @@ def _homography(source: Floats, destination: Floats) -> Floats:
     return np.asarray(cv2.getPerspectiveTransform(x_y[0], x_y[1]), dtype=np.float64)
 
 
-def _mapped(homography: Floats, points: Floats) -> Floats:
-    """Return (row, col) points under a map of (x, y)."""
-    x, y, w = homography @ np.column_stack((points[:, ::-1], np.ones(len(points)))).T
+def mapped(by: Floats, points: Floats) -> Floats:
+    """Return (row, col) points under a 3×3 map of (x, y)."""
+    x, y, w = by @ np.column_stack((points[:, ::-1], np.ones(len(points)))).T
     return np.column_stack((y / w, x / w))
 
 
@@ -194,7 +194,7 @@ def _blur(image: Singles, sigma: float) -> Singles:
 def _ecc(
     picture: Singles, template: _Template, corners: Floats, sigma: float, light: int
 ) -> Floats:
-    start = _homography(template.corners, corners).astype(np.float32)
+    start = homography(template.corners, corners).astype(np.float32)
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 40, 1e-6)
     try:
         everywhere = np.ones(picture.shape, np.uint8)
@@ -209,7 +209,7 @@ def _ecc(
         )
     except cv2.error:  # it did not converge: then the agreement decides
         return corners
-    moved = _mapped(np.asarray(aligned, dtype=np.float64), template.corners)
+    moved = mapped(np.asarray(aligned, dtype=np.float64), template.corners)
     # a correction is small; a large one is a flight, not a fit
     return moved if np.max(np.abs(moved - corners)) < 0.25 * _side(corners) else corners
 
@@ -218,7 +218,7 @@ def _aligned(
     picture: Singles, template: _Template, corners: Floats
 ) -> tuple[Singles, NDArray[np.bool_]]:
     """Return the image on the template's grid, lightly blurred, and a mask of valid samples."""
-    image_from_template = _homography(template.corners, corners)
+    image_from_template = homography(template.corners, corners)
     size = template.shape[::-1]
     how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     in_frame = (
@@ -277,7 +277,7 @@ def _agreement(
 ) -> Agreement:
     warped, in_frame = _aligned(picture, template, corners)
     if hidden is not None:
-        at = _mapped(_homography(corners, template.corners), hidden)
+        at = mapped(homography(corners, template.corners), hidden)
         covered = cv2.fillConvexPoly(
             np.zeros(in_frame.shape, np.uint8), np.rint(at[:, ::-1]).astype(np.int32), 1
         )

@@ -1,6 +1,7 @@
 """The plan of a session: a TOML file, checked before anything happens."""
 
 from labkit.plan.channel import Channel
+from labkit.plan.field_tables import FieldSettings, Limits, Mount
 from labkit.plan.plan import Plan, leading_channel
 from labkit.plan.sensor import MeasuredTone, Sensor
 from labkit.plan.table import Table
@@ -21,9 +22,12 @@ __all__ = [
     "CameraSettings",
     "Channel",
     "DisplaySettings",
+    "FieldSettings",
     "FitSettings",
     "Lens",
+    "Limits",
     "MeasuredTone",
+    "Mount",
     "NoiseSettings",
     "Plan",
     "RailSettings",

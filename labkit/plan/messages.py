@@ -142,7 +142,11 @@ def _models(annotation: Any) -> Iterator[type[BaseModel]]:
 
 def _unknown_key(loc: tuple[Step, ...], where: str, model: type[BaseModel]) -> str:
     known = list(_model_at(loc, model).model_fields)
-    near = difflib.get_close_matches(str(loc[-1]), known, n=1)
+    given = str(loc[-1])
+    # a key without its unit, such as tilt for tilt_um_per_mm
+    near = difflib.get_close_matches(given, known, n=1) or [
+        name for name in known if name.startswith(f"{given}_")
+    ]
     hint = f"did you mean {near[0]}?" if near else f"known here: {', '.join(known)}"
     return f"{where} is no known key; {hint}"
 

@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 
 from labkit.errors import PlanError
 from labkit.plan.channel import Channel
+from labkit.plan.field_tables import FieldSettings, Limits, Mount
 from labkit.plan.fields import Takes, problem, repeated
 from labkit.plan.sensor import Sensor
 from labkit.plan.table import Table
@@ -59,6 +60,9 @@ class Plan(Table):
     ]
     target: TargetSpec
     fit: FitSettings = FitSettings()
+    field: FieldSettings = FieldSettings()
+    limits: Limits = Limits()
+    mount: Mount = Mount()
     about: About = About()
     camera: CameraSettings | None = None
     rail: RailSettings | None = None
@@ -143,7 +147,12 @@ class Plan(Table):
 
     @model_validator(mode="after")
     def _consistent(self) -> Plan:
-        if problems := [*self._channel_problems(), *self._range_problems()]:
+        problems = [
+            *self._channel_problems(),
+            *self._range_problems(),
+            *self._tile_problems(),
+        ]
+        if problems:
             raise problem("; ".join(problems))
         return self
 
@@ -175,3 +184,14 @@ class Plan(Table):
         for range_mm in self.rail.ranges_mm if self.rail else ():
             if range_mm <= focal_mm:
                 yield f"rail.ranges_mm has {range_mm:g} mm: allowed is more than the focal length, {focal_mm:g} mm"
+
+    def _tile_problems(self) -> Iterator[str]:
+        if not self.target.of_many:
+            return
+        if self.field.pitch_px is not None:
+            yield "field.pitch_px: target.grid makes the tiles, leave out field.pitch_px"
+        if self.field.tiles not in (None, self.target.grid):
+            yield (
+                f"field.tiles = {list(self.field.tiles or ())}: target.grid = {list(self.target.grid or ())} makes the tiles, "
+                "leave out field.tiles"
+            )

@@ -164,7 +164,11 @@ class TargetSpec(Table):
     grid: Annotated[
         tuple[Cells, Cells] | None, Takes("[rows, columns], each from 1 to 4096")
     ] = None
-    """Rows and columns of disks, each in the middle of a square; `size_mm` is the height of all rows. Default: none."""
+    """Rows and columns of equal targets that fill the frame, `pitch_mm` apart; `size_mm` stays the size of one target. Of
+    disks: rows and columns of disks, each in the middle of a square; `size_mm` is the height of all rows. Default: none."""
+    pitch_mm: Length | None = None
+    """Distance of a grid's targets from centre to centre, the same along rows and columns, larger than a target.
+    Default: none, a grid of targets needs it."""
     diameter_mm: Length | None = None
     """Diameter of a disk, less than the side of its square. Default: none."""
     surround: Literal["black", "white", "unknown"] = "black"
@@ -182,6 +186,11 @@ class TargetSpec(Table):
     def stated_size(self) -> Uncertain:
         """Size of the target, with its error."""
         return stated(self.size_mm, self.size_std_mm, PRINTED_SIZE, "mm")
+
+    @property
+    def of_many(self) -> bool:
+        """Return whether `grid` is of whole targets."""
+        return self.grid is not None and self.kind != "disks"
 
     @field_validator("file")
     @classmethod
@@ -204,6 +213,7 @@ class TargetSpec(Table):
         for key in NEEDED_BY_KIND.get(self.kind, ()):
             if getattr(self, key) is None:
                 raise problem(f'{key} is missing: kind = "{self.kind}" needs it')
+        self._possible_grid()
         if self.pixels is not None and self.surround == "white":
             raise problem(
                 'surround = "white": allowed is "black" or "unknown" where [target.pixels] draws the panel'
@@ -213,6 +223,29 @@ class TargetSpec(Table):
         if needed and self.file is not None and not os.path.isfile(self.file):
             raise problem(f'file = "{self.file}": there is no such file')
         return self
+
+    def _possible_grid(self) -> None:
+        """Raise an error for a grid of targets without distance, or for a distance without grid."""
+        if not self.of_many:
+            if self.pitch_mm is not None:
+                raise problem(
+                    f"pitch_mm = {self.pitch_mm:g}: {_NO_PITCH[self.kind == 'disks']}"
+                )
+            return
+        if self.pitch_mm is None:
+            raise problem("pitch_mm is missing: a grid of targets needs it")
+        if not self.pitch_mm > self.size_mm:
+            raise problem(
+                f"pitch_mm = {self.pitch_mm:g}: allowed is more than size_mm = {self.size_mm:g}, the side of one target"
+            )
+        if self.corners_px is not None:
+            raise problem("corners_px are of a single target: leave out corners_px or grid")
+
+
+_NO_PITCH = (
+    "only a grid of targets has a pitch: give grid = [rows, columns] too",
+    "disks are size_mm / rows apart: leave out pitch_mm",
+)
 
 
 class FitSettings(Table):

@@ -1,0 +1,127 @@
+"""The tables of a plan about the whole field: its tiles, the limits to judge by, the mount's screws."""
+
+from __future__ import annotations
+
+from statistics import fmean
+from typing import Annotated
+
+from pydantic import AfterValidator, field_validator, model_validator
+
+from labkit.plan.fields import (
+    Allowed,
+    Corner,
+    Count,
+    Length,
+    Number,
+    Takes,
+    not_allowed,
+    problem,
+)
+from labkit.plan.table import Table
+
+MOST_FIELD_ORDER = 8
+"""The largest radial order of the field's polynomials: 45 of them."""
+
+TILES_WORDS = "[rows, columns], each from 1 to 1000"
+SCREWS_WORDS = "three or four places [x, y] in mm, not all on one line"
+
+LEAST_SPREAD = 0.02
+"""Extent of the screws across the line nearest to all of them, over their extent along it."""
+
+Tiles = Annotated[Count, AfterValidator(Allowed(1, 1000, whole=True))]
+
+
+class FieldSettings(Table):
+    """The tiles that a target fills the frame with, and the wavefront's expansion over the frame."""
+
+    tiles: Annotated[tuple[Tiles, Tiles] | None, Takes(TILES_WORDS)] = None
+    """Rows and columns of tiles into which a single large target is cut. Default: one tile, or the targets of
+    `target.grid`."""
+    pitch_px: Annotated[Number, AfterValidator(Allowed(16, 100_000))] | None = None
+    """Side of the tiles into which a single large target is cut, instead of `tiles`. Default: none."""
+    order: (
+        Annotated[Count, AfterValidator(Allowed(0, MOST_FIELD_ORDER, whole=True))] | None
+    ) = None
+    """Highest radial order of the polynomials in the place on the frame; 0 is a wavefront that is the same everywhere.
+    Default: as high as the photographs show."""
+
+    @model_validator(mode="after")
+    def _one_way(self) -> FieldSettings:
+        if self.tiles is not None and self.pitch_px is not None:
+            raise problem("tiles and pitch_px exclude each other: give one of both")
+        return self
+
+
+AtLeast = Annotated[
+    Number, AfterValidator(Allowed(0, 1e6)), Takes("a number, the least that passes")
+]
+AtMost = Annotated[
+    Number, AfterValidator(Allowed(0, 1e6)), Takes("a number, the most that passes")
+]
+
+
+class Limits(Table):
+    """Limits that the report judges the lens and its mount by: pass, fail, or cannot tell. Each key is a limit."""
+
+    centre_mtf50: AtLeast | None = None
+    """Spatial frequency, cycles/mm, at which the MTF in the middle of the frame falls to a half. Default: not judged."""
+    corner_mtf50: AtLeast | None = None
+    """The same in the worst corner of the frame, cycles/mm, of the worse direction. Default: not judged."""
+    tilt_um_per_mm: AtMost | None = None
+    """Tilt of the sensor: the slope of the focal surface, µm of focus for each mm on the sensor. Default: not judged."""
+    curvature_per_mm: AtMost | None = None
+    """Curvature of the focal surface, mm of focus for each mm² of image height squared, of either sign. Default: not judged."""
+    coma_waves: AtMost | None = None
+    """Constant coma, the mark of a decentred lens: waves RMS at the reference wavelength. Default: not judged."""
+    distortion_percent: AtMost | None = None
+    """Distortion in the worst corner, per cent of its image height, of either sign. Default: not judged."""
+    lateral_colour_um: AtMost | None = None
+    """Lateral colour in the worst corner: distance of two channels' images, µm. Default: not judged."""
+
+    @property
+    def stated(self) -> dict[str, float]:
+        """The limits that the plan states, by name."""
+        return self.model_dump(exclude_none=True)
+
+
+class Mount(Table):
+    """The screws that tilt the sensor, or the mount, against the lens."""
+
+    screws_mm: Annotated[tuple[Corner, ...] | None, Takes(SCREWS_WORDS)] = None
+    """Places of three or four screws, mm from the middle of the frame: x to the right and y down as in the photographs.
+    Default: none."""
+    screw_pitch_mm: Length | None = None
+    """Pitch of the screws' thread, mm a turn. Default: none; turns are then given as shims alone."""
+
+    @field_validator("screws_mm")
+    @classmethod
+    def _plane(
+        cls, screws: tuple[tuple[float, float], ...] | None
+    ) -> tuple[tuple[float, float], ...] | None:
+        if screws is not None and not _hold_a_plane(screws):
+            raise not_allowed(SCREWS_WORDS)
+        return screws
+
+    @model_validator(mode="after")
+    def _complete(self) -> Mount:
+        if self.screw_pitch_mm is not None and self.screws_mm is None:
+            raise problem("screws_mm is missing: screw_pitch_mm alone turns no screw")
+        return self
+
+
+def _hold_a_plane(screws: tuple[tuple[float, float], ...]) -> bool:
+    """Whether three or four screws determine a plane."""
+    if len(screws) not in (3, 4) or not all(abs(mm) < 1e4 for at in screws for mm in at):
+        return False
+    xs, ys = zip(*screws, strict=True)
+    right = [x - fmean(xs) for x in xs]
+    down = [y - fmean(ys) for y in ys]
+    xx = _dot(right, right)
+    yy = _dot(down, down)
+    xy = _dot(right, down)
+    # the moments' determinant over their squared trace: the square of the ratio of both extents
+    return xx * yy - xy**2 > (LEAST_SPREAD * (xx + yy)) ** 2
+
+
+def _dot(a: list[float], b: list[float]) -> float:
+    return sum(x * y for x, y in zip(a, b, strict=True))
