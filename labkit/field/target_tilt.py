@@ -81,7 +81,7 @@ class TargetTilts:
 
 
 @dataclass(frozen=True, eq=False)
-class SensorTilt:
+class SeparatedTilt:
     """The slope of focus over the sensor that is the camera's.
 
     Parameters
@@ -129,7 +129,7 @@ def target_tilts(geometry: FieldGeometry, lens: ThinLens) -> TargetTilts:
 
 def sensor_tilt(
     slopes_um_per_mm: Floats, covariance: Floats, tilts: TargetTilts
-) -> SensorTilt:
+) -> SeparatedTilt:
     """Separate the slopes of focus over the sensor into the camera's and the target's.
 
     Slopes of two ranges or more test that the target's tilts show up in focus as the
@@ -158,7 +158,7 @@ def sensor_tilt(
     p_value = float(chi2.sf(square, 2 * count - 2)) if count > 1 else nan
     if not p_value < CONTRADICTED_P:
         unknown = _unknown(level, target, both, count)
-        return SensorTilt(value, of_value, Uncertain(1.0, 0.0), p_value, unknown)
+        return SeparatedTilt(value, of_value, Uncertain(1.0, 0.0), p_value, unknown)
     free = np.concatenate([level, target[:, None]], axis=1)
     share = 1.0
     for _ in range(SHARE_ROUNDS):
@@ -166,7 +166,7 @@ def sensor_tilt(
         numbers, errors, _ = _solve(free, slopes, total)
         share = float(numbers[2])
     estimated = Uncertain(share, sqrt(errors[2, 2]))
-    return SensorTilt(numbers[:2], errors[:2, :2], estimated, p_value, ())
+    return SeparatedTilt(numbers[:2], errors[:2, :2], estimated, p_value, ())
 
 
 def _solve(

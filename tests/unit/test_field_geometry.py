@@ -13,7 +13,7 @@ from labkit.field.tile_model import FIFTH
 from labkit.field.tile_places import CORNERS, TileGrid, TilePlace, corners_by_nodes, nodes
 from labkit.key import Key
 from labkit.types import Floats
-from tests import field_samples as field
+from tests import tile_samples as field
 
 POINT_MM = 1e-5
 """Side of a tile that is as good as a point."""

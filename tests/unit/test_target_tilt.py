@@ -8,7 +8,7 @@ from labkit.field.geometry import fit_geometry
 from labkit.field.target_tilt import TargetTilts, sensor_tilt, target_tilts
 from labkit.field.tile_places import CORNERS, TilePlace
 from labkit.key import Key
-from tests import field_samples as field
+from tests import tile_samples as field
 
 
 def traced(range_mm: float, down_rad: float, right_rad: float) -> list[TilePlace]:
