@@ -15,7 +15,7 @@ halo, whose transfer function is a closed form.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from math import atan2, degrees
@@ -49,6 +49,7 @@ SINES = np.sin(2 * np.pi / TURNS * np.arange(TURNS))
 TURN_DEG = 0.05  # of a rim, in differences
 HALF_MODULATION_GRID = 200
 """Frequencies up to the cutoff among which the first below one half is searched."""
+SEARCHED_AT_ONCE = 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,32 +164,34 @@ def mtf50(
     cutoff = wavefront.cutoff_per_mm
 
     def pixel(frequency: Floats) -> Floats:
-        return (
-            np.ones_like(frequency)
-            if active_um is None
-            else pixel_mtf(frequency, active_um, azimuth)
-        )
+        if active_um is None:
+            return np.ones_like(frequency)
+        return pixel_mtf(frequency, active_um, azimuth)
 
-    def value(frequency: float) -> float:
-        at = np.array([frequency])
-        modulus = np.abs(transfer_function(wavefront, at, azimuth, slopes=False)[0])
-        return float((modulus * pixel(at))[0])
+    def values(frequency: Floats) -> Floats:
+        transfer, _ = transfer_function(wavefront, frequency, azimuth, slopes=False)
+        return np.abs(transfer) * pixel(frequency)
 
-    grid = np.linspace(0, cutoff, HALF_MODULATION_GRID + 1)
-    below = int(
-        np.argmax(
-            np.abs(transfer_function(wavefront, grid, azimuth, slopes=False)[0])
-            * pixel(grid)
-            < 0.5
-        )
-    )
+    low, high = _first_below_half(values, cutoff)
     half = brentq(
-        lambda f: value(f) - 0.5, grid[below - 1], grid[below], xtol=1e-10 * cutoff
+        lambda f: float(values(np.array([f]))[0]) - 0.5, low, high, xtol=1e-10 * cutoff
     )
     step = 1e-5 * cutoff
-    slope = (value(half + step) - value(half - step)) / (2 * step)
+    after, before = values(np.array([half + step, half - step]))
+    slope = float(after - before) / (2 * step)
     std = mtf(wavefront, half, azimuth).std * pixel(np.array(half))
     return Uncertain(half, float(std) / abs(slope), "cycles/mm")
+
+
+def _first_below_half(values: Callable[[Floats], Floats], cutoff: float) -> Floats:
+    """Return the two frequencies of a grid between which a curve first falls below one half."""
+    grid = np.linspace(0, cutoff, HALF_MODULATION_GRID + 1)
+    blocks = (
+        grid[k : k + SEARCHED_AT_ONCE + 1] for k in range(0, grid.size, SEARCHED_AT_ONCE)
+    )
+    block, low = next((b, low) for b in blocks if (low := values(b) < 0.5).any())
+    first = int(np.argmax(low))
+    return block[first - 1 : first + 1]
 
 
 def pixel_mtf(

@@ -32,12 +32,16 @@ SPLITS_WAVES = 0.1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ThroughFocus:
-    """A number against defocus, (n,) each: waves RMS, value, standard error; slopes: (modes, n) by the other modes."""
+    """A number against defocus, (n,) each: waves RMS, value, standard error, slope by defocus.
+
+    slopes: (modes, n) by the other modes
+    """
 
     defocus_waves: Floats
     value: Floats
     std: Floats
     slopes: Floats
+    slope: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,8 +88,9 @@ def strehl_through_focus(wavefront: FittedWavefront, defocus_waves: Floats) -> T
     found = [peaks[k] for k in range(len(defocus))]
     full = _with_defocus(rest, 0.0)
     std = np.sqrt([mean_square(full, peak) for peak in found])
-    slopes = np.array([peak.slope[:-1] for peak in found]).T
-    return ThroughFocus(defocus, np.array([peak.value for peak in found]), std, slopes)
+    slopes = np.array([peak.slope for peak in found]).T
+    value = np.array([peak.value for peak in found])
+    return ThroughFocus(defocus, value, std, slopes[:-1], slopes[-1])
 
 
 @in_any_light
@@ -104,18 +109,18 @@ def mtf_through_focus(
         at = np.array([frequency_per_mm])
         along = azimuth_deg(direction)
         every = [
-            transfer_function(_with_defocus(rest, float(waves)), at, along, not rest.exact)
+            transfer_function(_with_defocus(rest, float(waves)), at, along)
             for waves in defocus
         ]
         return _modulus(
             rest,
             defocus,
             np.array([value[0] for value, _ in every]),
-            np.array([slopes[:-1, 0] for _, slopes in every]).T,
+            np.array([slopes[:, 0] for _, slopes in every]).T,
         )
     steepest = _with_defocus(rest, float(np.abs(defocus).max()))
     transfer = np.zeros(len(defocus), complex)
-    by_mode = np.zeros((len(rest.noll), len(defocus)), complex)
+    by_mode = np.zeros((len(steepest.noll), len(defocus)), complex)
     for share, light in steepest.lights:
         apart = min(2 * abs(frequency_per_mm) / light.cutoff_per_mm, 2.0)
         area, differences = _overlap(light, apart, azimuth_deg(direction))
@@ -125,18 +130,19 @@ def mtf_through_focus(
         )  # (n, points)
         turned: Complexes = share * area * np.exp(factor * phase)
         transfer += turned.sum(axis=1)
-        by_mode += factor * (differences[:-1] @ turned.T)
+        by_mode += factor * (differences @ turned.T)
     return _modulus(rest, defocus, transfer, by_mode)
 
 
 def _modulus(
     rest: FittedWavefront, defocus: Floats, transfer: Complexes, by_mode: Complexes
 ) -> ThroughFocus:
-    """Return the modulus of a transfer function (n,), with its derivatives (modes, n)."""
+    """Return the modulus of a transfer function (n,), with its derivatives (modes and defocus, n)."""
     value = np.abs(transfer)
     unit = np.divide(np.conj(transfer), value, out=np.ones_like(transfer), where=value > 0)
     slopes = (by_mode * unit).real
-    return ThroughFocus(defocus, value, np.sqrt(rest.variance(slopes)), slopes)
+    std = np.sqrt(rest.variance(slopes[:-1]))
+    return ThroughFocus(defocus, value, std, slopes[:-1], slopes[-1])
 
 
 def depth_of_focus(wavefront: FittedWavefront, curve: ThroughFocus) -> FocusDepth | None:
