@@ -39,6 +39,7 @@ from labkit.uncertain import Uncertain
 
 Direction = Literal["x", "y", "tangential", "sagittal"]
 FIXED: dict[str, float] = {"x": 0.0, "y": 90.0}
+PER_MM = "cycles/mm on the sensor"
 
 BLOCK = 1 << 15
 """Nodes at once: their arrays stay in the cache, and no memory is fetched anew each time."""
@@ -112,9 +113,7 @@ def mtf(
     -------
     Modulation and errors, of the frequencies' shape
     """
-    frequency = real_array(
-        "frequency_per_mm", frequency_per_mm, None, "cycles/mm on the sensor"
-    )
+    frequency = real_array("frequency_per_mm", frequency_per_mm, None, PER_MM)
     along = frequency.ravel()
     azimuth = azimuth_deg(direction, field)
     value, gradient = modulus(
@@ -204,9 +203,7 @@ def pixel_mtf(
 
     direction, field: as in `azimuth_deg`. Thesis (2.45), corrected.
     """
-    frequency = real_array(
-        "frequency_per_mm", frequency_per_mm, None, "cycles/mm on the sensor"
-    )
+    frequency = real_array("frequency_per_mm", frequency_per_mm, None, PER_MM)
     azimuth = np.deg2rad(azimuth_deg(direction, field))
     width_mm = positive("active_um", active_um, "um") * 1e-3
     x, y = frequency * np.cos(azimuth), frequency * np.sin(azimuth)
