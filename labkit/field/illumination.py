@@ -15,17 +15,17 @@ from numpy.typing import ArrayLike
 from labkit.optics.field import FieldFrame, field_terms
 from labkit.types import Floats
 
-BLOCKS = 32
+LIGHT_BLOCKS = 32
 """Of pixels along the longer side, whose means are fitted."""
 
 TERMS = field_terms(6)
 """Noll's numbers of the polynomials over the circle around the frame. A test that leaves out orders which are hardly
 significant would leave errors that no standard error holds."""
 
-LEAST_VARIANCE = 1e-2
+LEAST_BLOCK_VARIANCE = 1e-2
 """Of a block, over the median block's."""
 
-ROUNDING = 1e-8
+LIGHT_ROUNDING = 1e-8
 """Of relative light."""
 
 LEAST_SHARE_LIT = 0.5
@@ -99,8 +99,8 @@ def measure_illumination(
             f"the flat has {lit.sum()} lit blocks of {len(lit)}: {least} are needed for its illumination"
         )
     # every block's own scatter, but none is known so much better than the usual one
-    known = np.maximum(variance[lit], LEAST_VARIANCE * np.median(variance[lit]))
-    weight = 1 / np.sqrt(known + ROUNDING**2)
+    known = np.maximum(variance[lit], LEAST_BLOCK_VARIANCE * np.median(variance[lit]))
+    weight = 1 / np.sqrt(known + LIGHT_ROUNDING**2)
     rows = frame.polynomials(TERMS, places[lit]).T
     weighted = rows * weight[:, None]
     covariance = np.linalg.inv(weighted.T @ weighted)
@@ -124,7 +124,7 @@ def _blocks(flat: Floats, plane: Plane) -> tuple[Floats, Floats, Floats]:
         np.arange(size)[part].astype(float)
         for size, part in zip(flat.shape, plane, strict=True)
     )
-    side = max(1, max(counts.shape) // BLOCKS)
+    side = max(1, max(counts.shape) // LIGHT_BLOCKS)
     high, wide = (size // side for size in counts.shape)
     cut = counts[: high * side, : wide * side].reshape(high, side, wide, side)
     pixels = cut.swapaxes(1, 2).reshape(high * wide, side**2)

@@ -80,7 +80,7 @@ class Screws:
 
 @dataclass(frozen=True)
 class ScrewMove:
-    """What to do at one screw.
+    """The move of one screw.
 
     Parameters
     ----------
@@ -203,7 +203,7 @@ class KnownMove:
 
     @property
     def clockwise(self) -> Way | None:
-        """What a clockwise turn does; None where the move does not prove it."""
+        """Direction of a clockwise turn; None where the move does not prove any."""
         unproven = max(self.p_wrong, self.p_still) >= WRONG_WAY_P
         if unproven or self.p_across < OTHER_MOVE_P:
             return None
