@@ -67,6 +67,9 @@ from labkit.types import Progress, no_progress
 FIT_AGAIN = "fit again: that goes on where this one ended"
 """Advice after an interrupted fit: completed fits are kept."""
 
+NOT_ALL_KEPT = "fit again: only fits for which there was no room are made again"
+"""Advice after a fit on a full disk."""
+
 Ranges = float | Sequence[float] | None
 Channels = str | Sequence[str] | None
 
@@ -207,10 +210,8 @@ def _written(
         for end, results in every.items():
             results.write(folder.with_name(folder.name + end))
     except InputError as error:
-        raise InputError(
-            f"{error}; make room and {FIT_AGAIN}"
-            + (f", but {kept.problem}" if kept.problem else "")
-        ) from error
+        again = NOT_ALL_KEPT if kept.problem else FIT_AGAIN
+        raise InputError(f"{error}; make room and {again}") from error
     if not lost:
         kept.clear()
     return replace(every[""], folder=folder)

@@ -184,7 +184,8 @@ def _show(console: Console, pair: Comparison) -> None:
 def _difference_row(one: Difference) -> list[str]:
     """Return the row of a number; one that is not tested says so."""
     value = f"{one.difference:+.2g}" if not one.difference.std else str(one.difference)
-    in_errors = f"{one.in_errors:+.1f}" + ("" if one.tested else ", not tested")
+    errors = round(one.in_errors, 1) + 0.0  # no minus zero
+    in_errors = f"{errors:+.1f}" + ("" if one.tested else ", not tested")
     return [one.name, f"{one.first:.6g}", f"{one.second:.6g}", value, in_errors]
 
 

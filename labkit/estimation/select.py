@@ -7,7 +7,8 @@ squares. Coordinate ascent alternates between the two: the penalised log-likelih
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.special import chdtrc
@@ -101,7 +102,6 @@ class Selection:
     members : (n,) whether the observation belongs to the session
     lens : the session's estimate from the members
     objective : penalised log-likelihood of the choice
-    open_signs : (n,) whether the ranges leave open which of two twins an observation has
     """
 
     observed: tuple[Observed, ...]
@@ -109,7 +109,15 @@ class Selection:
     members: Bools
     lens: LensFit
     objective: float
-    open_signs: Bools
+    _choices: _Choices = field(repr=False)
+
+    @cached_property
+    def open_signs(self) -> Bools:
+        """(n,) whether the ranges leave open which of two twins an observation has.
+
+        The test fits a lens for each change of signs, so it is made only if it is asked for.
+        """
+        return _open_signs(self._choices, self.choice, self.members, self.objective)
 
     @property
     def outliers(self) -> list[Key]:
@@ -247,7 +255,7 @@ def select(
     ----------
     observed : observations of known range with their candidates; observations without candidates are predicted
     stated : the plan's numbers
-    everyone : whether all observations belong under the strictest laws, at any cost; then no sign is reported as open
+    everyone : whether all observations belong under the strictest laws, at any cost
 
     Returns
     -------
@@ -284,12 +292,7 @@ def select(
         for one, at in zip(observed, choice, strict=True)
     ]
     lens = exact_lens(readings, chosen, members, stated, laws=Laws() if everyone else None)
-    is_open = (
-        np.zeros(len(observed), bool)
-        if everyone
-        else _open_signs(choices, choice, members, value)
-    )
-    return Selection(observed, choice, members, lens, value, is_open)
+    return Selection(observed, choice, members, lens, value, choices)
 
 
 def _looser(observed: Sequence[Observed]) -> list[Laws]:

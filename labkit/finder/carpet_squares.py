@@ -41,8 +41,7 @@ def central_square(target: Target) -> float | None:
     areas = np.bincount(labels.ravel())
     if middle == 0 or areas[middle] != areas[1:].max():
         return None
-    box = ndimage.find_objects(labels)[middle - 1]
-    side = box[0].stop - box[0].start
+    side = np.count_nonzero((labels == middle).any(axis=1))
     return (
         float(side / cells.shape[0])
         if areas[middle] == side**2 and side < cells.shape[0]
@@ -86,8 +85,8 @@ def _widened(quads: list[Floats], side_fraction: float, factor: int) -> Iterator
     distinct: list[Floats] = []
     unit = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], np.float32)
     for quad in sorted(quads, key=_area, reverse=True):
-        near = 0.08 * np.sqrt(_area(quad))
-        if any(np.max(np.abs(quad - other)) <= near for other in distinct):
+        apart = np.abs(quad - np.array(distinct)).max(axis=(1, 2)) if distinct else np.inf
+        if np.min(apart) <= 0.08 * np.sqrt(_area(quad)):
             continue
         distinct.append(quad)
         widened = cv2.perspectiveTransform(

@@ -55,8 +55,8 @@ def write(folder: Path, results: Results) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
     refuse_links(folder)
     files = {  # made before the first is written: files of two fits never lie side by side for long
-        PSFS: npz.packed(psfs(results.wavefronts)),
-        RESIDUALS: npz.packed(_residuals(results.wavefronts)),
+        PSFS: npz.packed(psfs(results.wavefronts), compressed=False),
+        RESIDUALS: npz.packed(_residuals(results.wavefronts), compressed=False),
         RESULTS_FILE: json.dumps(entry(results), indent=1, allow_nan=False).encode()
         + b"\n",
     }

@@ -9,6 +9,7 @@ from typing import ClassVar
 
 import pytest
 
+from labkit.acquisition.capture import run_plan
 from labkit.acquisition.sequence import picture_for
 from labkit.devices.context import DeviceContext
 from labkit.devices.protocols import ExposureSettings, Picture
@@ -18,6 +19,7 @@ from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.setup import settings_for
 from labkit.drivers.simulated.world import Fault
 from labkit.plan import Plan
+from labkit.session.session import Session
 from labkit.types import Floats32
 from tests.plans import SMALL, plan_text, simulated
 
@@ -103,3 +105,20 @@ def photographs(tmp_path_factory: pytest.TempPathFactory) -> Photographs:
             devices.display.show(picture)
             devices.camera.expose(folder / name)
     return {name: (folder / f"{name}.dng").read_bytes() for name in pictures}
+
+
+@pytest.fixture(scope="session")
+def captured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A session of two ranges, one photograph each, that is fitted in a moment. Tests use copies."""
+    folder = tmp_path_factory.mktemp("captured")
+    few = {
+        "camera": {"frames_per_range": 1, "flats_per_range": 2, "darks": 2},
+        "fit": {"zernike_noll": [4, 5]},
+    }
+    text = plan_text(SMALL, simulated([2000, 2050.5], 1950.0, ADDRESS), few)
+    with (
+        Session.create(folder / "night-1", text, folder) as opened,
+        open_devices(opened.plan) as devices,
+    ):
+        run_plan(opened, devices, check=False)
+    return folder / "night-1"

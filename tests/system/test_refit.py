@@ -8,6 +8,7 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from labkit.acquisition.capture import run_plan
@@ -114,6 +115,22 @@ def test_where_the_target_stood_is_kept(session: Path) -> None:
     # the cut has the target in it, with a margin, in pixels of the whole frame
     assert (corners.min(axis=(0, 1)) > [top, left]).all()
     assert (corners.max(axis=(0, 1)) < [top + rows, left + columns]).all()
+
+
+def test_a_fit_writes_the_numbers_that_sessions_of_one_lens_have_in_common(
+    session: Path,
+) -> None:
+    results = Results.load(session)
+    common, lens = results.common, results.lens
+    assert common is not None
+    assert lens is not None
+    numbers = ["best_focus_mm.G", "f_number", "focal_length_mm", "ln_pupil_magnification"]
+    assert sorted(common.names) == [*numbers, "waves.G.5", "waves.G.6"]
+    assert (np.linalg.eigvalsh(common.covariance) > 0).all()
+    values = dict(zip(common.names, common.values, strict=True))
+    assert values["focal_length_mm"] == pytest.approx(lens.focal_length.value)
+    assert values["f_number"] == pytest.approx(lens.f_number.value)
+    assert {"focal_length", "f-number"} <= common.stated.keys()
 
 
 def labkit(*args: str) -> list[str]:

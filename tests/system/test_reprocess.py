@@ -13,12 +13,10 @@ from typing import Any
 import pytest
 
 import labkit
-from labkit.acquisition.capture import run_plan
 from labkit.analysis import reprocess as job
 from labkit.analysis.inputs import frames_digest
 from labkit.analysis.reprocess import reprocess
 from labkit.cli import run
-from labkit.devices.registry import open_devices
 from labkit.errors import DataError, InputError, NewerError, WorkersError
 from labkit.estimation import searches
 from labkit.estimation.local import Found
@@ -28,26 +26,7 @@ from labkit.results import Results
 from labkit.results.made_from import MadeFrom
 from labkit.session.fit_lock import fitted_alone
 from labkit.session.session import Session
-from tests.plans import SMALL, plan_text, simulated
 from tests.results_samples import full_results
-
-from .conftest import ADDRESS
-
-
-@pytest.fixture(scope="module")
-def captured(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("reprocess")
-    few = {
-        "camera": {"frames_per_range": 1, "flats_per_range": 2, "darks": 2},
-        "fit": {"zernike_noll": [4, 5]},
-    }
-    text = plan_text(SMALL, simulated([2000, 2050.5], 1950.0, ADDRESS), few)
-    with (
-        Session.create(folder / "night-1", text, folder) as opened,
-        open_devices(opened.plan) as devices,
-    ):
-        run_plan(opened, devices, check=False)
-    return folder / "night-1"
 
 
 @pytest.fixture

@@ -14,14 +14,17 @@ import pytest
 
 from labkit.catalogue import entry as entry_module
 from labkit.catalogue import store
+from labkit.catalogue.compare import Difference
 from labkit.catalogue.history import history_of
 from labkit.catalogue.pictures import history_picture
 from labkit.catalogue.sessions import compare_sessions, lens_history, list_sessions
 from labkit.catalogue.store import CATALOGUE_FILE, read_catalogue
 from labkit.cli import run
+from labkit.cli.catalogue import _difference_row
 from labkit.errors import DataError, InputError
 from labkit.photographs.exif import Exif
 from labkit.session.session import Session
+from labkit.uncertain import Uncertain
 from tests.results_samples import PLAN, some_results
 
 APO = {"name": "Apo 70", "serial": "0042"}
@@ -254,6 +257,11 @@ def test_the_commands_answer_programs(
         "results": 2,
         "left_out": 0,
     }
+
+
+def test_a_small_difference_is_shown_without_a_minus_zero() -> None:
+    small = Difference("waves.G.7", 0.1, 0.09996, Uncertain(-0.00004, 0.001), True)
+    assert _difference_row(small)[-2:] == ["0.0000 ± 0.0010", "+0.0"]
 
 
 def test_pictures_are_written_on_request(

@@ -11,7 +11,7 @@ import pytest
 
 from labkit.estimation.candidate import Candidate, Observed
 from labkit.estimation.laws import WAVELENGTH, WORKING_F_NUMBER
-from labkit.estimation.lens_fit import LensFit
+from labkit.estimation.lens_fit import LensFit, fit_lens
 from labkit.estimation.lens_model import LensModel
 from labkit.estimation.select import Options, Selection, _Choices, select
 from labkit.key import Key
@@ -362,3 +362,20 @@ def test_among_tiles_every_wrong_optimum_is_named() -> None:
     ]
     selection = select([turned(one) if rng.random() < 0.5 else one for one in off], PLAN)
     assert sorted(selection.outliers) == sorted(keys(every, *wrong))
+
+
+def test_signs_are_tested_only_if_they_are_asked_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    lenses = 0
+
+    def counted(*arguments: Any) -> LensFit:
+        nonlocal lenses
+        lenses += 1
+        return fit_lens(*arguments)
+
+    monkeypatch.setattr("labkit.estimation.select.fit_lens", counted)
+    selection = select(session("G"), PLAN)
+    chosen = lenses
+    assert not selection.open_signs.any()
+    assert lenses > chosen
