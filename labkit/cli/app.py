@@ -7,9 +7,10 @@ import os
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from labkit.errors import InputError, PlanError
 from labkit.session.journal import journal_in
@@ -31,6 +32,21 @@ rail_app = typer.Typer(help="The rail by itself.", no_args_is_help=True)
 app.add_typer(rail_app, name="rail")
 catalogue_app = typer.Typer(help="The catalogue of sessions.", no_args_is_help=True)
 app.add_typer(catalogue_app, name="catalogue")
+
+
+class _SessionFirst(TyperGroup):
+    """A group that takes a session in place of a command, and then runs its command `show`, if it has one."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        known = not args or args[0] in self.commands
+        words = args if known or "show" not in self.commands else ["show", *args]
+        return super().resolve_command(ctx, words)
+
+
+field_app = typer.Typer(
+    help="The wavefront over the frame.", no_args_is_help=True, cls=_SessionFirst
+)
+app.add_typer(field_app, name="field")
 
 CameraPlace = Annotated[
     str,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from statistics import fmean
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import AfterValidator, field_validator, model_validator
 
@@ -92,6 +92,9 @@ class Mount(Table):
     Default: none."""
     screw_pitch_mm: Length | None = None
     """Pitch of the screws' thread, mm a turn. Default: none; turns are then given as shims alone."""
+    clockwise: Literal["away", "towards"] | None = None
+    """Way in which a clockwise turn moves the sensor at the screw: away from the lens, or towards the lens. `labkit field
+    check-move` proves it. Default: not proven; turns are then given without a sense."""
 
     @field_validator("screws_mm")
     @classmethod
@@ -104,8 +107,9 @@ class Mount(Table):
 
     @model_validator(mode="after")
     def _complete(self) -> Mount:
-        if self.screw_pitch_mm is not None and self.screws_mm is None:
-            raise problem("screws_mm is missing: screw_pitch_mm alone turns no screw")
+        for key in ("screw_pitch_mm", "clockwise"):
+            if getattr(self, key) is not None and self.screws_mm is None:
+                raise problem(f"screws_mm is missing: {key} alone turns no screw")
         return self
 
 

@@ -29,9 +29,9 @@ def test_the_light_at_each_place_is_that_of_the_law() -> None:
     places = rng.uniform([0, 0], [511, 767], (200, 2))
     found = measure_illumination(a_flat(rng), GREEN, 5.2)
     percent, _ = found.percent(places)
-    assert np.abs(percent - 100 * law(places) / centre).max() < 0.15
+    assert np.abs(percent - 100 * law(places) / centre).max() < 0.1
     corners, errors = found.corners_percent
-    assert np.abs(corners - 100 * law(CORNERS) / centre).max() < 0.15
+    assert np.abs(corners - 100 * law(CORNERS) / centre).max() < 0.1
     assert np.all((errors > 0.02) & (errors < 0.1))
     value, error = found.percent(FRAME.centre_px)
     assert value == pytest.approx(100)

@@ -95,6 +95,7 @@ def test_targets_that_overlap_are_refused() -> None:
         ({"mount": {"screws_mm": [[0, 0], [9, 9], [20, 20]]}}, "not all on one line"),
         ({"mount": {"screws_mm": [[0, 0], [9], [20, 20]]}}, "three or four places"),
         ({"mount": {"screw_pitch_mm": 0.5}}, "screws_mm is missing"),
+        ({"mount": {"clockwise": "away"}}, "screws_mm is missing: clockwise alone"),
     ],
 )  # fmt: skip
 def test_a_wrong_key_of_the_field_is_one_line(
