@@ -9,7 +9,7 @@ from labkit.devices.protocols import ClosesItself, PanelInfo, Picture, Shown
 from labkit.errors import PlanError
 from labkit.panel.panels import paper_panel
 from labkit.plan import Plan
-from labkit.target import open_target
+from labkit.target_grid import whole_target
 
 SHEET = "Put a white sheet in place of the target, flat, large enough to fill the frame, under the same light"
 TARGET_REQUEST = "Put the target before the camera, flat, wholly in the frame"
@@ -19,7 +19,7 @@ def open_display(address: str, plan: Plan, context: DeviceContext) -> ManualDisp
     """Open the display of manual:. Raises PlanError."""
     if address != "manual:":
         raise PlanError(f'display.address = "{address}": allowed is manual:')
-    panel = paper_panel(open_target(plan.target))
+    panel = paper_panel(whole_target(plan.target))
     return ManualDisplay(
         lambda text: context.operator.ask(text, wants="done"), panel, context.glass
     )

@@ -219,7 +219,8 @@ def read_spec(text: str) -> TargetSpec:
 
     Parameters
     ----------
-    text : such as ``sierpinski:order=5,size_mm=46.8``
+    text : such as ``sierpinski:order=5,size_mm=46.8``, or of a grid
+        ``sierpinski:order=4,size_mm=27,grid=3x4,pitch_mm=42,marks=true``
 
     Raises
     ------
@@ -236,11 +237,21 @@ def read_spec(text: str) -> TargetSpec:
         name, equals, value = item.partition("=")
         if not equals:
             raise TargetError(f"target {text!r}: {item!r} is not name=value; {EXAMPLE}")
-        fields[name.strip()] = _number_or_text(value.strip())
+        fields[name.strip()] = _value(value.strip())
     try:
         return TargetSpec.from_tables(fields)
     except PlanError as error:
         raise TargetError(f"target {text!r}: {error}; {EXAMPLE}") from error
+
+
+def _value(text: str) -> object:
+    """Return the value of a key: true, false, a number, a pair such as 2x3, or text."""
+    if text in ("true", "false"):
+        return text == "true"
+    rows, times, cols = text.partition("x")
+    if times and rows.isdecimal() and cols.isdecimal():
+        return [int(rows), int(cols)]
+    return _number_or_text(text)
 
 
 def _number_or_text(value: str) -> int | float | str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -13,7 +14,10 @@ from PIL import Image
 
 from labkit.errors import TargetError
 from labkit.files import write_atomically
-from labkit.target import CellTarget, Target, open_target
+from labkit.plan.tables import PRINTED_SIZE
+from labkit.target import CellTarget, Target
+from labkit.target_grid import TargetGrid, whole_target
+from labkit.types import Floats
 
 MM_PER_INCH = 25.4
 PRINT_DPI = 600.0
@@ -59,29 +63,58 @@ def render_target(
     >>> labkit.render_target("sierpinski:order=5,size_mm=46.8", "carpet.pdf").pixels
     (243, 243)
     """
-    target = open_target(target) if isinstance(target, str) else target
+    target = whole_target(target) if isinstance(target, str) else target
     path = Path(path)
     if path.suffix.lower() not in (".png", ".pdf"):
         raise TargetError(
             f"cannot write a target as {path.name!r}: the name must end in .png or .pdf"
         )
-    rows, cols = _raster(
-        target, dpi, pixels, default_dots=3 if path.suffix.lower() == ".png" else 1
-    )
-    height, width = target.size_mm
-    y = ((np.arange(rows) + 0.5) / rows - 0.5) * height
-    x = ((np.arange(cols) + 0.5) / cols - 0.5) * width
-    grey = np.rint(255 * np.clip(target.radiance(y[:, None], x[None, :]), 0, 1)).astype(
-        np.uint8
-    )
+    default_dots = 3 if path.suffix.lower() == ".png" else 1
+    dots = _raster(target, dpi, pixels, default_dots)
+    if isinstance(target, TargetGrid):
+        radiance, dot_mm, pitch_mm = _grid_on_dots(target, dots[0])
+        height, width = radiance.shape[0] * dot_mm, radiance.shape[1] * dot_mm
+    else:
+        pitch_mm = None
+        radiance = _on_dots(target, dots)
+        height, width = target.size_mm
+    rows, cols = radiance.shape
+    grey = np.rint(255 * np.clip(radiance, 0, 1)).astype(np.uint8)
     if path.suffix.lower() == ".png":
-        dots = (cols * MM_PER_INCH / width, rows * MM_PER_INCH / height)
+        dpis = (cols * MM_PER_INCH / width, rows * MM_PER_INCH / height)
         content = BytesIO()
-        Image.fromarray(grey).save(content, format="png", dpi=dots)
+        Image.fromarray(grey).save(content, format="png", dpi=dpis)
         write_atomically(path, content.getvalue())
     else:
         write_atomically(path, _pdf(grey, height, width))
-    return Rendering(path, (rows, cols), (height, width), tuple(_notes(target, grey)))
+    return Rendering(
+        path, (rows, cols), (height, width), tuple(_notes(target, grey, pitch_mm))
+    )
+
+
+def _on_dots(target: Target, dots: tuple[int, int]) -> Floats:
+    """Return a target's radiance in the middle of each of (rows, cols) dots."""
+    y, x = (
+        ((np.arange(n) + 0.5) / n - 0.5) * side
+        for n, side in zip(dots, target.size_mm, strict=True)
+    )
+    return target.radiance(y[:, None], x[None, :])
+
+
+def _grid_on_dots(grid: TargetGrid, rows: int) -> tuple[Floats, float, float]:
+    """Return a grid's radiance in whole dots a cell and from target to target, a dot's side and the pitch, both in mm.
+
+    rows: about how many dots.
+    """
+    tile = grid.tile
+    cells = tile.cells.shape if isinstance(tile, CellTarget) else (1, 1)
+    cell_dots = rows * tile.size_mm[0] / grid.size_mm[0] / cells[0]
+    down = cells[0] * max(1, round(cell_dots))
+    dot_mm = tile.size_mm[0] / down
+    across = cells[1] * max(1, round(tile.size_mm[1] / dot_mm / cells[1]))
+    pitch = max(round(grid.pitch_mm / dot_mm), max(down, across) + 1)
+    radiance = grid.laid_out(_on_dots(tile, (down, across)), pitch)
+    return radiance, dot_mm, pitch * dot_mm
 
 
 def _raster(
@@ -108,8 +141,11 @@ def _raster(
     return rows, max(1, round(rows * width / height))
 
 
-def _notes(target: Target, grey: NDArray[np.uint8]) -> list[str]:
-    notes = []
+def _notes(target: Target, grey: NDArray[np.uint8], pitch_mm: float | None) -> list[str]:
+    """Return remarks for a user; pitch_mm: of a grid as drawn."""
+    notes: list[str] = []
+    if isinstance(target, TargetGrid) and pitch_mm is not None:
+        notes += _pitch_notes(target.pitch_mm, pitch_mm)
     if isinstance(target, CellTarget):
         dots = grey.shape[0] / target.cells.shape[0]
         if any(
@@ -121,7 +157,7 @@ def _notes(target: Target, grey: NDArray[np.uint8]) -> list[str]:
                 f"a cell is {dots:.3g} pixels, so edges move by up to half a pixel: "
                 f"{whole} pixels ({dpi:.2f} dpi) would make it whole"
             )
-    else:
+    elif not isinstance(target, TargetGrid):
         notes.append(
             f"what is not upright is drawn in steps of a dot, {1000 * target.size_mm[0] / grey.shape[0]:.3g} um"
         )
@@ -132,6 +168,15 @@ def _notes(target: Target, grey: NDArray[np.uint8]) -> list[str]:
     if target.surround == 0:
         notes.append("black surrounds the target in the plan: mount it on black")
     return notes
+
+
+def _pitch_notes(asked_mm: float, drawn_mm: float) -> Iterator[str]:
+    """Yield by how much whole dots change the distance of a grid's targets, if that counts."""
+    if abs(drawn_mm / asked_mm - 1) > PRINTED_SIZE:
+        yield (
+            f"in whole dots the targets are {drawn_mm:.6g} mm apart instead of {asked_mm:.6g}: "
+            f"state pitch_mm = {drawn_mm:.6g} in the plan"
+        )
 
 
 def _pdf(grey: NDArray[np.uint8], height_mm: float, width_mm: float) -> bytes:

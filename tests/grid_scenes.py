@@ -40,6 +40,26 @@ def kron_sheet(
     return sheet
 
 
+def mark_sheet(grid: Place, *, side: int = 27, gap: int = 14, module: int = 1) -> Floats:
+    """OpenCV's marks 0, 1, ... row by row in the middle of each four carpets, in exchanged colours, black elsewhere."""
+    sheet = np.zeros([count * (side + gap) + gap for count in grid])
+    known = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_1000)
+    rows, cols = (max(1, count - 1) for count in grid)
+    for number in range(rows * cols):
+        mark = 255 - known.generateImageMarker(number, 6, borderBits=1)
+        drawn = np.kron(mark / 255.0, np.ones((module, module)))
+        top, left = (
+            round(
+                (index + 1) * (side + gap) + gap / 2 - len(drawn) / 2
+                if count > 1
+                else gap + side / 2 - len(drawn) / 2
+            )
+            for index, count in zip(divmod(number, cols), grid, strict=True)
+        )
+        sheet[top : top + len(drawn), left : left + len(drawn)] = drawn
+    return sheet
+
+
 def camera(
     shape: Place,
     scale: float,
@@ -80,9 +100,8 @@ def picture(
     return np.asarray(blurred + noise * rng.standard_normal(shape))
 
 
-def corners_px(place: Place, view: Floats, *, order: int = 3, gap: int = 14) -> Floats:
+def corners_px(place: Place, view: Floats, *, side: int = 27, gap: int = 14) -> Floats:
     """True corners (row, column) of a carpet in the picture, in the order of labkit's."""
-    side = 3**order
     top, left = (gap + index * (side + gap) - 0.5 for index in place)
     corners = np.array(
         [

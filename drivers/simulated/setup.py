@@ -24,7 +24,7 @@ from labkit.errors import PlanError
 from labkit.pace import in_words
 from labkit.panel.panels import paper_panel, plan_panel
 from labkit.plan import Plan, RailSettings
-from labkit.target import open_target
+from labkit.target_grid import whole_target
 
 FEWEST_SAMPLES, NEAR_HALO_UM = 4, 200.0
 """To a pixel, and how far light is followed ring by ring, on a sensor that is rendered in tiles: less of each is less work."""
@@ -68,7 +68,7 @@ def settings_for(plan: Plan, seed: int) -> BenchSettings:
     if plan.camera is None or plan.rail is None:
         raise PlanError("a simulated bench needs a plan with [camera] and [rail]")
     rng = np.random.default_rng([seed, zlib.crc32(b"plan")])
-    glass = plan_panel(plan) or paper_panel(open_target(plan.target))
+    glass = plan_panel(plan) or paper_panel(whole_target(plan.target))
     rows, cols = _sensor_size(plan, min(plan.rail.ranges_mm))
     mono = plan.sensor.cfa_pattern == "mono"
     usual = TrueSensor()
@@ -128,7 +128,7 @@ def _sensor_size(plan: Plan, nearest_mm: float) -> tuple[int, int]:
     """
     focal_mm = plan.lens.focal_length_mm
     per_mm = focal_mm / (nearest_mm - focal_mm) / (plan.sensor.pixel_pitch_um * 1e-3)
-    high, wide = (side * per_mm for side in open_target(plan.target).size_mm)
+    high, wide = (side * per_mm for side in whole_target(plan.target).size_mm)
     rows, cols = (
         8 * math.ceil((a + 0.021 * b + 24) / 8) for a, b in ((high, wide), (wide, high))
     )

@@ -23,7 +23,8 @@ from labkit.devices.protocols import (
 )
 from labkit.devices.registry import open_camera
 from labkit.errors import CameraError, TargetError
-from labkit.finder.find_target import find_target, grey_image
+from labkit.finder.find_target import grey_image
+from labkit.finder.lattice import find_targets
 from labkit.finder.sharpness import blur_px, sharpest_edge_px
 from labkit.photographs.decoding import read_photograph
 from labkit.photographs.exposure import exposure_problem, pixel_noise
@@ -202,7 +203,7 @@ def _blur_on_target(mosaic: Photograph, alone: LoneCamera) -> tuple[float | None
         grey = grey_image(mosaic.light, mosaic.pattern)
         target = open_target(alone.plan.target)
         return blur_px(
-            grey, target, find_target(grey, target)
+            grey, target, find_targets(grey, alone.plan.target)[0]
         ), "found, wholly in the frame"
     except TargetError as error:
         return None, str(error)

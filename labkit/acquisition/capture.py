@@ -176,7 +176,11 @@ class _Capture:
         if darks:
             self._refuse_uncapped()
         self._log.note(
-            "began", missing=len(todo), total=self._log.total, shown_size_mm=target.size_mm
+            "began",
+            missing=len(todo),
+            total=self._log.total,
+            shown_size_mm=target.size_mm,
+            **({} if target.pitch_mm is None else {"shown_pitch_mm": target.pitch_mm}),
         )
         if warn and (words := _drawn_otherwise(self._session.plan, target)):
             warn(words)

@@ -17,7 +17,8 @@ from labkit.devices.observer import Observer, Viewer
 from labkit.devices.protocols import ExposureSettings, Previewing, Rail
 from labkit.devices.registry import observers_of, open_monitor, open_rail
 from labkit.errors import PlanError, TargetError
-from labkit.finder.find_target import find_target, grey_image, margin_px
+from labkit.finder.find_target import grey_image, margin_px
+from labkit.finder.lattice import find_targets
 from labkit.finder.preview import Look
 from labkit.finder.sharpness import blur_px, sharpest_edge_px
 from labkit.photographs.decoding import read_photograph
@@ -38,9 +39,10 @@ class FocusReading:
     """One photograph for focusing. source: FRAME or LIVE_VIEW_SOURCE, whose pixels are not the sensor's.
 
     edge_px: rise of the sharpest edges in pixels, None without light or edges;
-    full_percent: share of saturated pixels; corners_px: (4, 2) of the target, None if not
-    searched or not found; blur_px: diameter of the blur circle on the target; margin_px:
-    from the target to the frame's edge; note: fault of the light, or why there is no
+    full_percent: share of saturated pixels; corners_px: (4, 2) of the target, or of the
+    grid's target nearest to the middle, None if not searched or not found; blur_px:
+    diameter of the blur circle on it; margin_px: from the targets to the frame's edge;
+    note: fault of the light, or why there is no
     target.
     """
 
@@ -147,7 +149,7 @@ def focus(
                 else read_photograph(seen, LIVE)
             )
         reading = _read(number, LIVE_VIEW_SOURCE if live else FRAME_SOURCE, mosaic, alone)
-        corners = None if reading.corners_px is None else np.array(reading.corners_px)
+        corners = None if reading.corners_px is None else np.array([reading.corners_px])
         for observer in observers:
             if isinstance(observer, Viewer):
                 name = f"{reading.source} {number}"
@@ -186,7 +188,7 @@ def _target(
     target = open_target(alone.plan.target)
     try:
         grey = grey_image(mosaic.light, mosaic.pattern)
-        corners = find_target(grey, target)
+        tiles = find_targets(grey, alone.plan.target)
     except TargetError:
         return None, None, None
-    return corners, blur_px(grey, target, corners), margin_px(corners, grey.shape)
+    return tiles[0], blur_px(grey, target, tiles[0]), margin_px(tiles, grey.shape)

@@ -22,7 +22,8 @@ from labkit.acquisition.patient import PatientDevices
 from labkit.devices.protocols import Check, Checkable, Picture
 from labkit.errors import DataError, DeviceError, InputError, LabkitError, TargetError
 from labkit.files import write_atomically, writing
-from labkit.finder.find_target import find_target, grey_image, margin_px
+from labkit.finder.find_target import grey_image, margin_px
+from labkit.finder.lattice import find_targets
 from labkit.finder.preview import Look, jpeg
 from labkit.finder.sharpness import blur_px, sharpest_edge_px
 from labkit.optics.lens import (
@@ -173,7 +174,6 @@ class _Round:
     def _located(self, look: Look, range_mm: float, seen: Path) -> Look:
         """Return the look with the target's corners, if the target is found."""
         plan = self.plan
-        target = open_target(self.plan.target)
         given = plan.target.corners_px
         lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
         scale = float(ground_sample_mm(lens, range_mm, plan.sensor.pixel_pitch_um))
@@ -181,9 +181,9 @@ class _Round:
             grey = _grey(look)
             return replace(
                 look,
-                corners_px=np.array(given)
+                corners_px=np.array([given])
                 if given
-                else find_target(grey, target, mm_per_pixel=scale),
+                else find_targets(grey, plan.target, mm_per_pixel=scale),
             )
         except TargetError as error:
             self.findings.problems.append(
@@ -195,7 +195,7 @@ class _Round:
         corners = look.corners_px
         grey = _grey(look)
         assert corners is not None
-        blur = blur_px(grey, open_target(self.plan.target), corners)
+        blur = blur_px(grey, open_target(self.plan.target), corners[0])
         margin = margin_px(corners, grey.shape)
         if margin < 0:
             away = f"the target reaches {-margin:.0f} pixels out of the frame: move it, or the camera, back in"
@@ -206,7 +206,19 @@ class _Round:
             "blur_px": round(blur, 1),
             "margin_px": round(margin, 1),
         }
+        if self.plan.target.of_many:
+            self._note_field(corners, grey.shape, range_mm)
         return blur
+
+    def _note_field(self, tiles: Floats, shape: tuple[int, ...], range_mm: float) -> None:
+        """State how much of the frame a grid's targets (n, 4, 2) cover, and how many are missing."""
+        covered = np.ptp(tiles.reshape(-1, 2), axis=0) / shape
+        of_all = int(np.prod(self.plan.target.grid or (1, 1)))
+        self.findings.measured[f"{range_mm:g} mm"]["targets"] = len(tiles)
+        self.findings.by_hand.append(
+            f"at {range_mm:g} mm {len(tiles)} of the grid's {of_all} targets are wholly in the frame, and cover "
+            f"{covered[1]:.0%} of its width and {covered[0]:.0%} of its height"
+        )
 
     def _photograph(self, range_mm: float, picture: Picture) -> _Kept | None:
         name = (

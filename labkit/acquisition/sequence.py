@@ -16,6 +16,7 @@ from labkit.panel.picture import PanelPicture, panel_picture
 from labkit.plan import CameraSettings, NoiseSettings, Plan, RailSettings
 from labkit.session.session import Session
 from labkit.target import open_target
+from labkit.target_grid import whole_target
 from labkit.types import FrameKind
 
 
@@ -93,10 +94,14 @@ def shown_picture(plan: Plan, display: Display) -> PanelPicture:
 
     Raises TargetError.
     """
-    target = open_target(plan.target)
-    if isinstance(display, OnPaper):
-        return replace(panel_picture(target, display.panel), size_mm=target.size_mm)
-    return panel_picture(target, display.panel)
+    shown = panel_picture(whole_target(plan.target), display.panel)
+    if not isinstance(display, OnPaper):
+        return shown
+    return replace(
+        shown,
+        size_mm=open_target(plan.target).size_mm,
+        pitch_mm=plan.target.pitch_mm,
+    )
 
 
 @contextmanager

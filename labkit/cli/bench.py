@@ -204,11 +204,11 @@ def target_render(
 ) -> None:
     """Write a target to print, in its true size."""
     perhaps_a_plan(spec)
-    from labkit.target import open_target
     from labkit.target_file import render_target
+    from labkit.target_grid import whole_target
 
     console: Console = ctx.obj
-    made = render_target(open_target(spec), file, dpi=dpi, pixels=pixels)
+    made = render_target(whole_target(spec), file, dpi=dpi, pixels=pixels)
     height, width = made.size_mm
     console.say(
         f"{made.path}: {made.pixels[0]} × {made.pixels[1]} pixels, {height:g} × {width:g} mm"

@@ -22,7 +22,7 @@ from labkit.plan.text import write_tables
 from labkit.session.draft_plan import FILL_IN, Row, draft_tables
 from labkit.spectra import LIGHT_KINDS
 from labkit.spectra.tables import COLOURS
-from labkit.target import open_target
+from labkit.target_grid import whole_target
 
 Ask = Callable[[str, Callable[[str], Any], str], Any]
 """Puts a question with how to read its answer and a default; gives what was read."""
@@ -285,7 +285,7 @@ def _shown(answers: _Answers) -> Iterator[Row]:
 def _notes(plan: Plan) -> Iterator[str]:
     """Yield remarks on obstacles to a capture."""
     try:
-        target = open_target(plan.target)
+        target = whole_target(plan.target)
         if plan.display is not None and not plan.display.by_hand:
             panel_picture(target, panel_info(plan.display))
     except LabkitError as error:

@@ -17,7 +17,8 @@ from labkit.errors import DisplayError, PlanError
 from labkit.panel.panels import PANELS
 from labkit.panel.picture import panel_picture
 from labkit.plan import DisplaySettings, Plan
-from labkit.target import Target, open_target
+from labkit.target import Target
+from labkit.target_grid import whole_target
 
 TARGET_CHOICE = "target"
 CHOICES = (TARGET_CHOICE, *PATTERNS)
@@ -55,7 +56,7 @@ def serve_target(
     >>> labkit.serve_target("sierpinski:order=5,size_mm=46.8", ["ipad-9.7-retina"], "0.0.0.0:8642")
     """
     context = context or DeviceContext()
-    target = open_target(spec)
+    target = whole_target(spec)
     with ExitStack() as stack:
         displays = [
             stack.enter_context(open_display(address, plan, context))

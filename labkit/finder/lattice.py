@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from itertools import chain, islice
 
 import numpy as np
@@ -20,6 +19,7 @@ from labkit.finder.carpet_squares import central_square, levelled_hypotheses
 from labkit.finder.find_target import (
     LEAST_AGREEMENT,
     believable,
+    find_target,
     is_target_shaped,
     margin_px,
     prepared,
@@ -33,16 +33,15 @@ from labkit.finder.registration import (
     quick_agreement,
     register,
 )
-from labkit.target import Target
-from labkit.target_grid import Place, TargetGrid
+from labkit.finder.tile_places import OWN_CORNERS, Lattice, first_place
+from labkit.plan import TargetSpec
+from labkit.target import Target, open_target
+from labkit.target_grid import Place, TargetGrid, open_grid
 from labkit.types import Floats
 
 Singles = NDArray[np.float32]
 
 NEIGHBOURS = ((-1, 0), (1, 0), (0, -1), (0, 1))
-
-OWN_CORNERS = np.array([[-0.5, -0.5], [-0.5, 0.5], [0.5, 0.5], [0.5, -0.5]])
-"""A target's corners from its centre, in its own size."""
 
 MOST_STARTS = 24
 """Likely places of a first target that are looked at, of each threshold."""
@@ -54,30 +53,14 @@ SEARCHED_SIDE_PX = 60.0
 """Side of a target, pixels, in a picture binned down to be searched; its central square then has twenty."""
 
 
-@dataclass(slots=True)
-class _Lattice:
-    """Targets found from one of them, at (0, 0): their corners, and places in the frame where no target is."""
-
-    tiles: dict[Place, Floats]
-    empty: set[Place] = field(default_factory=set)
-
-    def extent(self, axis: int) -> tuple[int, int]:
-        """Return the first index and the number of rows, or of columns."""
-        indices = [place[axis] for place in self.tiles]
-        return min(indices), max(indices) - min(indices) + 1
-
-    def ends_at(self, axis: int, index: int) -> bool:
-        """Whether a row, or a column, is in the frame and has no target."""
-        return any(place[axis] == index for place in self.empty)
-
-
 def find_tiles(
     image: ArrayLike, grid: TargetGrid, *, mm_per_pixel: float | None = None
 ) -> dict[Place, Floats]:
     """Return the corners of a grid's targets in an image, by row and column, to about half a pixel.
 
     Rows and columns are counted from 0 at the upper left as the photograph shows the grid.
-    Targets that the frame cuts or that are hidden are absent.
+    Targets that the frame cuts or that are hidden are absent. Where the frame cuts the grid
+    on two opposite sides, marks are needed.
 
     Parameters
     ----------
@@ -93,21 +76,37 @@ def find_tiles(
     Raises
     ------
     TargetError
-        no target is found, or the number of targets contradicts the grid, or which rows and
-        columns are in the frame cannot be told
+        no target is found; the number of targets contradicts the grid; marks show that the
+        grid is turned or mirrored; or which rows and columns are in the frame cannot be told
     """
     picture = prepared(image)
     lattice = _found(picture, grid, mm_per_pixel)
-    firsts = [_first(lattice, grid, axis) for axis in (0, 1)]
+    row_0, col_0 = first_place(picture, lattice, grid)
     return {
-        (row - firsts[0], col - firsts[1]): corners
+        (row - row_0, col - col_0): corners
         for (row, col), corners in sorted(lattice.tiles.items())
     }
 
 
-def _found(picture: Singles, grid: TargetGrid, mm_per_pixel: float | None) -> _Lattice:
+def find_targets(
+    image: ArrayLike, spec: TargetSpec, *, mm_per_pixel: float | None = None
+) -> Floats:
+    """Return the corners (n, 4, 2) of a plan's target, or of all targets of its grid, the one nearest to the middle first.
+
+    Parameters and errors are those of `find_target` and `find_tiles`.
+    """
+    grid = open_grid(spec)
+    if grid is None:
+        return find_target(image, open_target(spec), mm_per_pixel=mm_per_pixel)[None]
+    tiles = np.stack([*find_tiles(image, grid, mm_per_pixel=mm_per_pixel).values()])
+    middle = (np.array(np.shape(image)) - 1) / 2
+    away = np.linalg.norm(tiles.mean(axis=1) - middle, axis=-1)
+    return np.asarray(tiles[np.argsort(away)])
+
+
+def _found(picture: Singles, grid: TargetGrid, mm_per_pixel: float | None) -> Lattice:
     """Return the lattice about the first likely target that has neighbours, or else about any target."""
-    best: _Lattice | None = None
+    best: Lattice | None = None
     for start in _starts(picture, grid, mm_per_pixel):
         if best is not None and any(_covers(tile, start) for tile in best.tiles.values()):
             continue
@@ -160,9 +159,9 @@ def _factors(picture: Singles, grid: TargetGrid) -> Iterator[int]:
         yield factor
 
 
-def _grown(picture: Singles, grid: TargetGrid, first: Floats) -> _Lattice:
+def _grown(picture: Singles, grid: TargetGrid, first: Floats) -> Lattice:
     """Return all targets that are reached from a first one, neighbour by neighbour."""
-    lattice = _Lattice({(0, 0): first})
+    lattice = Lattice({(0, 0): first})
     queue: deque[Place] = deque([(0, 0)])
     while queue:
         row, col = queue.popleft()
@@ -203,46 +202,4 @@ def _covers(corners: Floats, other: Floats) -> bool:
         np.all(
             np.abs(mapped(homography(corners, OWN_CORNERS), other.mean(axis=0)[None])) < 0.5
         )
-    )
-
-
-def _first(lattice: _Lattice, grid: TargetGrid, axis: int) -> int:
-    """Return the lattice's index of the grid's first row, or column.
-
-    Of a grid that the frame cuts, the rows that are missing must be where the frame ends.
-    """
-    first, count = lattice.extent(axis)
-    total, name = grid.grid[axis], ("rows", "columns")[axis]
-    if count > total:
-        raise TargetError(_too_many(lattice, grid))
-    beyond = total - count
-    starts = [
-        first - before
-        for before in range(beyond + 1)
-        if not (before > 0 and lattice.ends_at(axis, first - 1))
-        and not (before < beyond and lattice.ends_at(axis, first + count))
-    ]
-    shown = f"{count} of the grid's {total} {name}"
-    if not starts:
-        raise TargetError(
-            f"only {shown} are found, and the frame has room for more: uncover the grid, "
-            "or check grid, pitch_mm and size_mm of [target]"
-        )
-    if len(starts) > 1:
-        raise TargetError(
-            f"{shown} are in the frame, which cuts the grid on both sides, so that it is unknown which ones: show all {name}"
-        )
-    return starts[0]
-
-
-def _too_many(lattice: _Lattice, grid: TargetGrid) -> str:
-    rows, cols = (lattice.extent(axis)[1] for axis in (0, 1))
-    turned = (
-        f"; if the camera or the grid is turned by 90°, write grid = [{rows}, {cols}]"
-        if (cols, rows) == grid.grid
-        else ""
-    )
-    return (
-        f"{rows} rows and {cols} columns of targets are found, [target] has grid = {list(grid.grid)}: "
-        f"check grid and what is shown{turned}"
     )

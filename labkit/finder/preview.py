@@ -21,7 +21,7 @@ RED, CYAN, BLACK = (40, 40, 230), (255, 220, 40), (0, 0, 0)
 class Look:
     """A judged photograph that is no frame of a session: from a preflight or for focusing.
 
-    corners_px: (4, 2) of the target (row, col), None if not found; edge_px: rise of the
+    corners_px: (n, 4, 2) of the targets (row, col), None if none is found; edge_px: rise of the
     sharpest edges in pixels, None for an even image; note: remark on the photograph.
     """
 
@@ -34,7 +34,10 @@ class Look:
 
 
 def jpeg(mosaic: Photograph, corners_px: Floats | None = None) -> bytes:
-    """Return a JPEG at most 900 pixels wide; patches with a clipped pixel are red, a target is outlined."""
+    """Return a JPEG at most 900 pixels wide; patches with a clipped pixel are red, the targets are outlined.
+
+    corners_px: (n, 4, 2) of the targets (row, column).
+    """
     level, full = _cells(mosaic)
     scale = min(1.0, JPEG_PREVIEW_PX / level.shape[1])
     size = max(1, round(level.shape[1] * scale)), max(1, round(level.shape[0] * scale))
@@ -43,23 +46,21 @@ def jpeg(mosaic: Photograph, corners_px: Floats | None = None) -> bytes:
     colour = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
     colour[cv2.resize(full, size, interpolation=cv2.INTER_AREA) > 0] = RED
     if corners_px is not None:
-        _outline(
-            colour,
-            (corners_px[:, ::-1] + 0.5) * (np.array(size) / mosaic.shape[::-1]) - 0.5,
-        )
+        per_pixel = np.array(size) / mosaic.shape[::-1]
+        _outline(colour, (corners_px[..., ::-1] + 0.5) * per_pixel - 0.5)
     done, written = cv2.imencode(".jpg", colour, [cv2.IMWRITE_JPEG_QUALITY, 88])
     return written.tobytes() if done else b""
 
 
 def _outline(picture: NDArray[np.uint8], corners: Floats) -> None:
-    """Draw round corners (x, y)."""
+    """Draw round corners (n, 4, 2) as (x, y)."""
     shift = 4  # OpenCV's fixed point
-    points = np.rint(corners * 2**shift).astype(np.int32).reshape(1, -1, 2)
+    points = np.rint(corners * 2**shift).astype(np.int32)
     line = (
         2 if max(picture.shape) > JPEG_PREVIEW_PX // 2 else 1
     )  # a smaller picture is shown enlarged
     for colour, thickness in ((BLACK, line + 2), (CYAN, line)):
-        cv2.polylines(picture, [points], True, colour, thickness, cv2.LINE_AA, shift)
+        cv2.polylines(picture, list(points), True, colour, thickness, cv2.LINE_AA, shift)
 
 
 def _cells(mosaic: Photograph) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -8,6 +8,7 @@ from labkit.errors import PlanError
 from labkit.panel.panel_info import PanelInfo
 from labkit.plan import DisplaySettings, Plan
 from labkit.target import CellTarget, Target
+from labkit.target_grid import TargetGrid
 
 PAPER_PIXELS = 500
 """At least, along a target's height on simulated paper."""
@@ -43,9 +44,10 @@ def plan_panel(plan: Plan) -> PanelInfo | None:
 
 def paper_panel(target: Target) -> PanelInfo:
     """Return a sheet of paper, three times as large as the target, as pixels finer than the target's cells."""
-    cells = target.cells.shape[0] if isinstance(target, CellTarget) else 1
-    rows = cells * math.ceil(PAPER_PIXELS / cells)
-    pitch_mm = target.size_mm[0] / rows
+    alone = target.tile if isinstance(target, TargetGrid) else target
+    cells = alone.cells.shape[0] if isinstance(alone, CellTarget) else 1
+    share = alone.size_mm[0] / target.size_mm[0]
+    pitch_mm = alone.size_mm[0] / (cells * math.ceil(share * PAPER_PIXELS / cells))
     side = 3 * math.ceil(max(target.size_mm) / pitch_mm)
     return PanelInfo((side, side), pitch_mm, subpixels="none")
 

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from labkit.errors import TargetError
 from labkit.panel.panel_info import PanelInfo
 from labkit.target import CellTarget, Target
+from labkit.target_grid import TargetGrid
+from labkit.types import Floats
 
 SIZE_TOLERANCE = 0.02
 """A picture may be this much larger or smaller than the plan's target: the fitted pose takes up a common scale."""
@@ -17,28 +19,50 @@ SIZE_TOLERANCE = 0.02
 
 @dataclass(frozen=True, slots=True)
 class PanelPicture:
-    """Grey values (rows, cols) for panel pixels, and the true (height, width) in mm of the target among them."""
+    """Grey values (rows, cols) for panel pixels, and the target's true size among them.
+
+    size_mm: (height, width) of the target, or of each target of a grid; pitch_mm: true
+    distance of a grid's targets, None for a single target.
+    """
 
     grey: NDArray[np.uint8]
     size_mm: tuple[float, float]
+    pitch_mm: float | None = None
 
 
 def panel_picture(target: Target, panel: PanelInfo) -> PanelPicture:
     """Return the target on the panel's pixels, as near to its nominal size as whole pixels a cell allow.
 
+    The targets of a grid are a whole number of pixels apart.
+
     Raises TargetError if no such size is near, if the panel is too small, or if a radiance
     is above white.
     """
-    cells = target.cells.shape if isinstance(target, CellTarget) else None
+    alone = target.tile if isinstance(target, TargetGrid) else target
+    radiance = _on_pixels(alone, panel)
+    size_mm = (radiance.shape[0] * panel.pitch_mm, radiance.shape[1] * panel.pitch_mm)
+    pitch_mm = None
+    if isinstance(target, TargetGrid):
+        radiance, pitch_mm = _laid_out(target, radiance, panel)
+    if target.surround:
+        framed = np.full(panel.pixels, target.surround)
+        rows, cols = radiance.shape
+        top = (panel.pixels[0] - rows) // 2
+        left = (panel.pixels[1] - cols) // 2
+        framed[top : top + rows, left : left + cols] = radiance
+        radiance = framed
+    grey = np.rint(255 * radiance ** (1 / panel.gamma)).astype(np.uint8)
+    return PanelPicture(grey, size_mm, pitch_mm)
+
+
+def _on_pixels(target: Target, panel: PanelInfo) -> Floats:
+    """Return a single target's radiance in whole pixels a cell."""
+    cells = target.cells.shape if isinstance(target, CellTarget) else (1, 1)
     rows, cols = (
-        whole_pixels(target.size_mm[i], cells[i] if cells else 1, panel.pitch_mm)
-        for i in range(2)
+        whole_pixels(side, count, panel.pitch_mm)
+        for side, count in zip(target.size_mm, cells, strict=True)
     )
-    if rows > panel.pixels[0] or cols > panel.pixels[1]:
-        raise TargetError(
-            f"the target takes {rows} × {cols} pixels of {panel.pitch_mm:g} mm; "
-            f"the panel has {panel.pixels[0]} × {panel.pixels[1]}: take a smaller target"
-        )
+    _refuse_larger((rows, cols), panel, "take a smaller target")
     y_mm, x_mm = (
         ((np.arange(n) + 0.5) / n - 0.5) * side
         for n, side in zip((rows, cols), target.size_mm, strict=True)
@@ -48,14 +72,28 @@ def panel_picture(target: Target, panel: PanelInfo) -> PanelPicture:
         raise TargetError(
             f"the target's radiance goes up to {radiance.max():g}; a panel shows 0 to 1"
         )
-    if target.surround:
-        framed = np.full(panel.pixels, target.surround)
-        top = (panel.pixels[0] - rows) // 2
-        left = (panel.pixels[1] - cols) // 2
-        framed[top : top + rows, left : left + cols] = radiance
-        radiance = framed
-    grey = np.rint(255 * radiance ** (1 / panel.gamma)).astype(np.uint8)
-    return PanelPicture(grey, (rows * panel.pitch_mm, cols * panel.pitch_mm))
+    return radiance
+
+
+def _laid_out(grid: TargetGrid, tile: Floats, panel: PanelInfo) -> tuple[Floats, float]:
+    """Return the radiance of a grid of equal pictures of a target (rows, cols), and their pitch in mm."""
+    pitch = max(round(grid.pitch_mm / panel.pitch_mm), max(tile.shape) + 1)
+    rows, cols = ((n - 1) * pitch + k for n, k in zip(grid.grid, tile.shape, strict=True))
+    held = [
+        max(0, (n - k) // pitch + 1) for n, k in zip(panel.pixels, tile.shape, strict=True)
+    ]
+    _refuse_larger(
+        (rows, cols), panel, f"it holds grid = {held} of them; or take smaller ones"
+    )
+    return grid.laid_out(tile, pitch), pitch * panel.pitch_mm
+
+
+def _refuse_larger(pixels: tuple[int, int], panel: PanelInfo, advice: str) -> None:
+    if pixels[0] > panel.pixels[0] or pixels[1] > panel.pixels[1]:
+        raise TargetError(
+            f"the target takes {pixels[0]} × {pixels[1]} pixels of {panel.pitch_mm:g} mm; "
+            f"the panel has {panel.pixels[0]} × {panel.pixels[1]}: {advice}"
+        )
 
 
 def whole_pixels(side_mm: float, cells: int, pitch_mm: float) -> int:

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 from pydantic import (
     AfterValidator,
     Field,
+    Strict,
     ValidationInfo,
     field_validator,
     model_validator,
@@ -169,6 +170,9 @@ class TargetSpec(Table):
     pitch_mm: Length | None = None
     """Distance of a grid's targets from centre to centre, the same along rows and columns, larger than a target.
     Default: none, a grid of targets needs it."""
+    marks: Annotated[bool, Strict()] = False
+    """Whether ArUco marks stand between a grid's targets. They tell which rows and columns a photograph shows where the frame
+    cuts the grid, and whether the grid is turned or mirrored."""
     diameter_mm: Length | None = None
     """Diameter of a disk, less than the side of its square. Default: none."""
     surround: Literal["black", "white", "unknown"] = "black"

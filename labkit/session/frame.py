@@ -151,6 +151,7 @@ ALLOWED_IN_EVENT: Mapping[str, Callable[[Any], bool]] = {
     "homing": lambda value: isinstance(value, int) and value is not True and value > 0,
     "exposure_s": _is_number_or_none,
     "shown_size_mm": _is_size,
+    "shown_pitch_mm": lambda value: _is_number(value) and value > 0,
     "altered": lambda value: isinstance(value, list) and all(map(_is_text, value)),
     "sha256": _is_text,
     "plan_sha256": _is_text,

@@ -12,7 +12,7 @@ from labkit.target import open_target
 
 
 def with_shown_size(session: Session, plan: Plan) -> Plan:
-    """Return a plan with the target's size as displayed.
+    """Return a plan with the target's size as displayed, and the distance of a grid's targets.
 
     A plan whose size differs from the session's own is returned unchanged, because its
     target was measured; so is a plan of a target that no display showed. A size wrong by a
@@ -26,8 +26,8 @@ def with_shown_size(session: Session, plan: Plan) -> Plan:
     size_mm = asked.size_mm * float(
         np.mean(np.divide(sizes[-1], open_target(asked).size_mm))
     )
-    return (
-        plan
-        if isclose(size_mm, asked.size_mm)
-        else plan.replace(target={"size_mm": size_mm})
-    )
+    shown = {} if isclose(size_mm, asked.size_mm) else {"size_mm": size_mm}
+    pitches = [e["shown_pitch_mm"] for e in session.events if "shown_pitch_mm" in e]
+    if plan.target.of_many and pitches and plan.target.pitch_mm == asked.pitch_mm:
+        shown["pitch_mm"] = float(pitches[-1])
+    return plan.replace(target=shown) if shown else plan

@@ -363,7 +363,14 @@ def test_a_photograph_of_the_preflight_is_shown_with_what_is_wrong() -> None:
     counts = np.full((80, 120), 100)
     corners = np.array([[20.0, 30.0], [20.0, 90.0], [60.0, 90.0], [60.0, 30.0]])
     monitor.saw(
-        Look("preflight_2000_target", 2000.0, mosaic(counts), corners, 4.2, "out of focus")
+        Look(
+            "preflight_2000_target",
+            2000.0,
+            mosaic(counts),
+            corners[None],
+            4.2,
+            "out of focus",
+        )
     )
     shown = monitor.snapshot()
     assert (shown["frame"]["note"], shown["sharpness"]) == (

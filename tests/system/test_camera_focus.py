@@ -83,7 +83,7 @@ def test_the_target_is_found_and_outlined_on_the_simulated_bench(
     look = watcher.looks[1]
     assert (look.name, look.edge_px) == ("frame 1", lit.edge_px)
     assert look.corners_px is not None
-    assert np.array_equal(np.array(lit.corners_px), look.corners_px)
+    assert np.array_equal(np.array([lit.corners_px]), look.corners_px)
     assert set(watcher.events) == {"focusing"}
 
 

@@ -294,8 +294,9 @@ def test_the_photographs_are_kept_beside_the_frames_and_shown_with_the_targets_o
     }
     assert verify(Session.open(tmp_path / "s")) == []
     assert remarks(Session.open(tmp_path / "s")) == []
-    corners = viewer.looks[3].corners_px
-    assert corners is not None
+    tiles = viewer.looks[3].corners_px
+    assert tiles is not None
+    (corners,) = tiles
     seen = cv2.imread(str(tmp_path / "s" / "preflight" / "preflight_2000_target_seen.jpg"))
     assert seen is not None
     # two frame pixels are one of the picture; the outline is the only thing in it that has a colour
@@ -322,4 +323,34 @@ def test_no_target_at_all_is_an_error_of_the_target(
     plan_file.write_text(plan_file.read_text().replace("[2000, 2050.5]", "[2000]"))
     assert isinstance(
         problems_of(plan_file, tmp_path / "s", make_context, turned=45), TargetError
+    )
+
+
+def test_of_a_grid_the_field_that_it_covers_is_told(
+    plan_file: Path, tmp_path: Path, make_context: ContextMaker
+) -> None:
+    grid = {"grid": [2, 3], "pitch_mm": 13.5}
+    plan = Plan.load(plan_file).replace(target=grid)
+    plan_file.write_text(plan.to_toml())
+    said: list[str] = []
+    with (
+        begin(plan_file, tmp_path / "s", resume=False) as session,
+        open_devices(session.plan, context=make_context(plan_file)) as devices,
+    ):
+        run_plan(session, devices, warn=said.append)
+    events = {event["event"]: event for event in session.events}
+    assert events["began"]["shown_size_mm"] == pytest.approx([9.0, 9.0])
+    assert events["began"]["shown_pitch_mm"] == pytest.approx(13.5)
+    assert events["preflight"]["measured"]["2000 mm"]["targets"] == 6
+    (words,) = said
+    cover = re.search(
+        r"at 2000 mm 6 of the grid's 6 .*cover (\d+)% of its width and (\d+)% of its height",
+        words,
+    )
+    assert cover is not None
+    # 22.5 × 36 mm through a thin lens of 50 mm, on pixels of 6 um
+    rows, cols = read_photograph(session.frames[-1].path, plan.sensor).shape
+    side = 50 / 1950 / 6e-3
+    assert [int(percent) for percent in cover.groups()] == pytest.approx(
+        [100 * 36 * side / cols, 100 * 22.5 * side / rows], abs=4
     )

@@ -14,7 +14,7 @@ LAYERS = {
         *("types", "errors", "key", "mode_groups", "pace", "uncertain", "version"),
         *("findings", "files", "arrays", "npz", "typed_file", "apart"),
         *("sharing", "numerics", "processes", "execute", "cluster", "figure_style"),
-        *("spectra", "plan", "target", "target_grid", "target_file"),
+        *("spectra", "plan", "target", "target_marks", "target_grid", "target_file"),
     ],
     "model": ["optics", "panel", "imaging"],
     "material": [
@@ -208,7 +208,6 @@ def test_a_target_needs_only_the_plan_and_the_target_protocol() -> None:
         "photographs",
         "plan",
         "target",
-        "target_grid",
         "targets",
         "types",
     }

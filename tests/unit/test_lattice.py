@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,15 @@ from labkit.plan import Plan
 from labkit.target import CellTarget
 from labkit.target_grid import TargetGrid, open_grid
 from labkit.types import Floats
-from tests.grid_scenes import Place, camera, corners_px, kron_carpet, kron_sheet, picture
+from tests.grid_scenes import (
+    Place,
+    camera,
+    corners_px,
+    kron_carpet,
+    kron_sheet,
+    mark_sheet,
+    picture,
+)
 
 GOLDEN = Path(__file__).parents[3] / "shared" / "golden"
 
@@ -30,11 +39,13 @@ def three_by_four(grid: Place = (3, 4)) -> TargetGrid:
     return TargetGrid(CellTarget(kron_carpet(3), (27.0, 27.0)), grid, 41.0)
 
 
-def worst_px(found: dict[Place, Floats], view: Floats, first: Place = (0, 0)) -> float:
-    """Largest distance of a corner from its true place; the carpet at `first` was found as (0, 0)."""
+def worst_px(
+    found: dict[Place, Floats], view: Floats, *, side: int = 27, gap: int = 14
+) -> float:
+    """Largest distance of a corner from its true place."""
     return max(
-        float(np.max(np.abs(corners - corners_px((row + first[0], col + first[1]), view))))
-        for (row, col), corners in found.items()
+        float(np.max(np.abs(corners - corners_px(place, view, side=side, gap=gap))))
+        for place, corners in found.items()
     )
 
 
@@ -129,6 +140,83 @@ def test_a_grid_that_contradicts_the_plan_is_refused(
     view = camera(SHAPE, scale, sheet=sheet.shape)
     with pytest.raises(TargetError, match=words):
         find_tiles(picture(sheet, view, SHAPE), three_by_four())
+
+
+FINER = 2
+"""Sheet's cells in a carpet's cell, where marks of seven carpet's cells have six modules."""
+
+
+def marked(grid: Place = (3, 4)) -> tuple[Floats, TargetGrid]:
+    """Carpets of 54 cells, 24 apart, with marks of 12, and the same for labkit."""
+    carpets = np.kron(kron_sheet(grid, gap=12), np.ones((FINER, FINER)))
+    sheet = carpets + mark_sheet(grid, side=54, gap=24, module=2)
+    tile = CellTarget(kron_carpet(3), (54.0, 54.0))
+    return sheet, TargetGrid(tile, grid, 78.0, marks=True)
+
+
+def in_frame(grid: TargetGrid, view: Floats) -> set[Place]:
+    """The carpets whose true corners are all in the frame."""
+    return {
+        (row, col)
+        for row, col in np.ndindex(*grid.grid)
+        if all(
+            np.all((corner > -0.5) & (corner < np.array(SHAPE) - 0.5))
+            for corner in corners_px((row, col), view, side=54, gap=24)
+        )
+    }
+
+
+@pytest.mark.parametrize("shift_px", [(0.0, 0.0), (90.0, 150.0)])
+def test_marks_tell_the_rows_and_columns_of_a_grid_cut_on_all_sides(
+    shift_px: tuple[float, float],
+) -> None:
+    sheet, grid = marked((6, 7))
+    view = camera(SHAPE, 1.7, roll_deg=3.0, shift_px=shift_px, sheet=sheet.shape)
+    found = find_tiles(picture(sheet, view, SHAPE), grid)
+    assert set(found) == in_frame(grid, view)
+    assert worst_px(found, view, side=54, gap=24) < 0.5
+
+
+@pytest.mark.parametrize("blur_px", [0.5, 1.5])
+def test_marks_are_read_in_perspective_and_out_of_focus(blur_px: float) -> None:
+    sheet, grid = marked((6, 7))
+    view = camera(SHAPE, 2.4, roll_deg=-12.0, tilt=(0.2, 0.1), sheet=sheet.shape)
+    found = find_tiles(picture(sheet, view, SHAPE, blur_px=blur_px), grid)
+    assert worst_px(found, view, side=54, gap=24) < 0.5
+
+
+@pytest.mark.parametrize(
+    ("turned", "words"),
+    [
+        (lambda sheet: np.rot90(sheet), "turned by 90° to the left"),
+        (lambda sheet: np.rot90(sheet, 2), "turned by 180°"),
+        (lambda sheet: np.rot90(sheet, 3), "turned by 90° to the right"),
+        (lambda sheet: sheet[:, ::-1], "mirrored"),
+        (lambda sheet: sheet[::-1], "mirrored"),
+    ],
+)
+def test_marks_tell_a_turned_or_mirrored_grid(
+    turned: Callable[[Floats], Floats], words: str
+) -> None:
+    sheet, grid = marked()
+    seen = np.ascontiguousarray(turned(sheet))
+    view = camera(SHAPE, 1.4, sheet=seen.shape)
+    with pytest.raises(TargetError, match=words):
+        find_tiles(picture(seen, view, SHAPE), grid)
+
+
+def test_marks_of_another_grid_are_told() -> None:
+    sheet, _ = marked((3, 5))
+    view = camera(SHAPE, 1.4, sheet=sheet.shape)
+    with pytest.raises(TargetError, match=r"marks .* are those of another grid"):
+        find_tiles(picture(sheet, view, SHAPE), marked((3, 6))[1])
+
+
+def test_marks_stand_between_the_carpets_of_a_single_row() -> None:
+    sheet, grid = marked((1, 9))
+    view = camera(SHAPE, 2.0, sheet=sheet.shape)
+    found = find_tiles(picture(sheet, view, SHAPE), grid)
+    assert sorted(found) == [(0, col) for col in range(3, 6)]
 
 
 def test_a_picture_without_carpets_is_refused() -> None:

@@ -47,3 +47,15 @@ def test_a_journal_with_a_size_that_is_none_is_refused(
         session.log("began", shown_size_mm=size)
     with pytest.raises(SessionError, match="line 2 cannot be used"):
         Session.open(tmp_path / "night")
+
+
+def test_a_grid_is_as_far_apart_as_it_was_shown(tmp_path: Path) -> None:
+    grid = {"target": {"order": 5, "size_mm": 46.8, "grid": [2, 3], "pitch_mm": 70.0}}
+    text = plan_text(PORTRAIT, grid)
+    with Session.create(tmp_path / "night", text, tmp_path) as session:
+        session.log("began", shown_size_mm=[DRAWN_MM, DRAWN_MM], shown_pitch_mm=69.93)
+    session = Session.open(tmp_path / "night")
+    shown = with_shown_size(session, session.plan).target
+    assert (shown.size_mm, shown.pitch_mm) == pytest.approx((DRAWN_MM, 69.93))
+    measured = session.plan.replace(target={"pitch_mm": 70.01})
+    assert with_shown_size(session, measured).target.pitch_mm == 70.01

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from labkit.errors import PlanError, TargetError
+from labkit.panel.panel_info import PanelInfo
+from labkit.panel.picture import panel_picture
 from labkit.plan import Plan, TargetSpec
 from labkit.target import CellTarget, open_target
-from labkit.target_grid import TargetGrid, open_grid, shown_target
+from labkit.target_file import render_target
+from labkit.target_grid import TargetGrid, open_grid, whole_target
 from tests.grid_scenes import kron_carpet, kron_sheet
 from tests.plans import SMALL, plan_text
 
@@ -43,11 +50,11 @@ def test_a_fit_takes_one_target_and_a_display_all_of_them() -> None:
     assert grid is not None
     assert (grid.grid, grid.pitch_mm, grid.tile.size_mm) == ((2, 3), 41.0, (27.0, 27.0))
     assert open_target(spec).size_mm == (27.0, 27.0)
-    assert shown_target(spec).size_mm == (68.0, 109.0)
+    assert whole_target(spec).size_mm == (68.0, 109.0)
     assert grid.centre_mm((0, 0)) == (-20.5, -41.0)
     alone = TargetSpec.from_tables({"kind": "sierpinski", "order": 3, "size_mm": 27.0})
     assert open_grid(alone) is None
-    assert shown_target(alone).size_mm == (27.0, 27.0)
+    assert whole_target(alone).size_mm == (27.0, 27.0)
 
 
 def test_disks_keep_their_own_grid() -> None:
@@ -55,7 +62,7 @@ def test_disks_keep_their_own_grid() -> None:
         {"kind": "disks", "size_mm": 8.0, "grid": [2, 3], "diameter_mm": 2.5}
     )
     assert open_grid(spec) is None
-    assert shown_target(spec).size_mm == (8.0, 12.0)
+    assert whole_target(spec).size_mm == (8.0, 12.0)
 
 
 def test_targets_that_overlap_are_refused() -> None:
@@ -120,3 +127,88 @@ def test_the_field_keys_are_read_and_written() -> None:
     silent = Plan.parse(plan_text(SMALL))
     assert (silent.field.tiles, silent.field.pitch_px, silent.field.order) == (None,) * 3
     assert (silent.limits.stated, silent.mount.screws_mm) == ({}, None)
+
+
+def test_marks_are_read_by_opencvs_own_detector() -> None:
+    target = TargetGrid(CellTarget(kron_carpet(3), (27.0, 27.0)), (3, 4), 51.0, marks=True)
+    y, x = (np.arange(-side / 2 - 5, side / 2 + 5, 0.25) for side in target.size_mm)
+    drawn = target.radiance(y[:, None], x)
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.detectInvertedMarker = True
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_1000)
+    detector = cv2.aruco.ArucoDetector(dictionary, parameters)
+    corners, numbers, _ = detector.detectMarkers((255 * drawn).astype(np.uint8))
+    assert sorted(numbers.ravel()) == list(range(6))
+    for number, quad in zip(numbers.ravel(), corners, strict=True):
+        row, col = divmod(int(number), 3)
+        middle = np.array([y[0], x[0]]) + quad[0].mean(axis=0)[::-1] * 0.25
+        assert middle == pytest.approx([(row - 0.5) * 51, (col - 1) * 51], abs=0.3)
+        # the first corner is a mark's upper left
+        assert np.all(quad[0][0] < quad[0][2])
+
+
+def test_marks_are_filtered_like_cells() -> None:
+    target = TargetGrid(CellTarget(kron_carpet(2), (9.0, 9.0)), (2, 2), 21.0, marks=True)
+    y, x = (np.arange(-20.0, 20.0, 0.25) + 0.125,) * 2
+    cells = CellTarget(target.radiance(y[:, None], x), (40.0, 40.0))
+    at = np.linspace(-18.0, 18.0, 80)
+    np.testing.assert_allclose(
+        target.sample(at, at, 0.8), cells.sample(at, at, 0.8), atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("grid", [(1, 1), (40, 40)])
+def test_marks_need_room_and_numbers(grid: tuple[int, int]) -> None:
+    with pytest.raises(TargetError, match=r"marks: grid = .* has no room for 1 to 1000"):
+        TargetGrid(CellTarget(np.ones((1, 1)), (1.0, 1.0)), grid, 2.0, marks=True)
+
+
+PANEL = PanelInfo((300, 400), 0.1)
+
+
+def test_a_panel_shows_a_grid_in_whole_pixels() -> None:
+    tile = CellTarget(kron_carpet(2), (9.09, 9.09))
+    shown = panel_picture(TargetGrid(tile, (2, 3), 13.52), PANEL)
+    sheet = np.kron(kron_sheet((2, 3), order=2, gap=0), np.ones((10, 10)))
+    tiles = sheet.reshape(2, 90, 3, 90)
+    drawn = np.zeros((225, 360))
+    for row, col in np.ndindex(2, 3):
+        drawn[135 * row :, 135 * col :][:90, :90] = tiles[row, :, col]
+    np.testing.assert_array_equal(shown.grey, 255 * drawn)
+    assert shown.size_mm == pytest.approx((9.0, 9.0))
+    assert shown.pitch_mm == pytest.approx(13.5)
+
+
+@pytest.mark.parametrize(
+    ("pitch_mm", "words"),
+    [
+        (13.5, r"the panel has 300 × 400: it holds grid = \[2, 3\] of them"),
+        (9.9, "marks: the gaps between the targets are 9 pixels, and marks take 24"),
+    ],
+)
+def test_a_grid_that_a_panel_cannot_show_is_refused(pitch_mm: float, words: str) -> None:
+    tile = CellTarget(kron_carpet(2), (9.0, 9.0))
+    with pytest.raises(TargetError, match=words):
+        panel_picture(TargetGrid(tile, (3, 4), pitch_mm, marks=True), PANEL)
+
+
+def test_a_print_has_whole_dots_and_tells_the_pitch(tmp_path: Path) -> None:
+    text = "sierpinski:order=2,size_mm=9,grid=2x3,pitch_mm=13.13"
+    made = render_target(text, tmp_path / "grid.png", dpi=254)
+    with Image.open(made.path) as picture:
+        dots = np.asarray(picture) / 255
+    assert dots.shape == made.pixels == (221, 352)
+    assert made.size_mm == pytest.approx((22.1, 35.2))
+    np.testing.assert_array_equal(
+        dots[131:, 262:], np.kron(kron_carpet(2), np.ones((10, 10)))
+    )
+    assert "state pitch_mm = 13.1 in the plan" in made.notes[0]
+
+
+def test_marks_are_printed_too(tmp_path: Path) -> None:
+    text = "sierpinski:order=2,size_mm=9,grid=2x2,pitch_mm=21,marks=true"
+    made = render_target(text, tmp_path / "grid.png", dpi=254)
+    with Image.open(made.path) as picture:
+        between = np.asarray(picture)[90:210, 90:210]
+    assert np.argwhere(between).min(axis=0).tolist() == [30, 30]
+    assert np.argwhere(between).max(axis=0).tolist() == [89, 89]
