@@ -55,24 +55,62 @@ class FieldSettings(Table):
 AtLeast = Annotated[
     Number, AfterValidator(Allowed(0, 1e6)), Takes("a number, the least that passes")
 ]
+Modulation = Annotated[
+    Number, AfterValidator(Allowed(0, 1)), Takes("0 to 1, the least that passes")
+]
 AtMost = Annotated[
     Number, AfterValidator(Allowed(0, 1e6)), Takes("a number, the most that passes")
 ]
 
 
 class Limits(Table):
-    """Limits that the report judges the lens and its mount by: pass, fail, or cannot tell. Each key is a limit."""
+    """Limits to judge the lens and its mount by: pass, fail, or cannot tell. Each key is a limit, of the leading channel
+    (G, or the first)."""
 
+    confidence: Annotated[Number, AfterValidator(Allowed(0.5, 0.9999))] = 0.95
+    """Least probability of a verdict: a number passes or fails only where its standard error leaves no more doubt."""
     centre_mtf50: AtLeast | None = None
-    """Spatial frequency, cycles/mm, at which the MTF in the middle of the frame falls to a half. Default: not judged."""
+    """Frequency, cycles/mm, at which the MTF of the optics is a half at the frame's centre, in the worse direction. Default: not judged."""
+    centre_mtf_at_10: Modulation | None = None
+    """MTF of the optics at 10 cycles/mm at the frame's centre, in the worse direction. Default: not judged."""
+    centre_mtf_at_20: Modulation | None = None
+    """MTF of the optics at 20 cycles/mm at the frame's centre, in the worse direction. Default: not judged."""
+    centre_mtf_at_40: Modulation | None = None
+    """MTF of the optics at 40 cycles/mm at the frame's centre, in the worse direction. Default: not judged."""
+    edge_mtf50: AtLeast | None = None
+    """Frequency, cycles/mm, at which the MTF of the optics is a half in the middle of the worst side, in the worse direction. Default: not judged."""
+    edge_mtf_at_10: Modulation | None = None
+    """MTF of the optics at 10 cycles/mm in the middle of the worst side, in the worse direction. Default: not judged."""
+    edge_mtf_at_20: Modulation | None = None
+    """MTF of the optics at 20 cycles/mm in the middle of the worst side, in the worse direction. Default: not judged."""
+    edge_mtf_at_40: Modulation | None = None
+    """MTF of the optics at 40 cycles/mm in the middle of the worst side, in the worse direction. Default: not judged."""
     corner_mtf50: AtLeast | None = None
-    """The same in the worst corner of the frame, cycles/mm, of the worse direction. Default: not judged."""
+    """Frequency, cycles/mm, at which the MTF of the optics is a half in the worst corner, in the worse direction. Default: not judged."""
+    corner_mtf_at_10: Modulation | None = None
+    """MTF of the optics at 10 cycles/mm in the worst corner, in the worse direction. Default: not judged."""
+    corner_mtf_at_20: Modulation | None = None
+    """MTF of the optics at 20 cycles/mm in the worst corner, in the worse direction. Default: not judged."""
+    corner_mtf_at_40: Modulation | None = None
+    """MTF of the optics at 40 cycles/mm in the worst corner, in the worse direction. Default: not judged."""
     tilt_um_per_mm: AtMost | None = None
     """Tilt of the sensor: the slope of the focal surface, µm of focus for each mm on the sensor. Default: not judged."""
+    tilt_um: AtMost | None = None
+    """The same as focus error from one corner of the frame to the opposite, µm. Default: not judged."""
+    tilt_arcmin: AtMost | None = None
+    """The same in minutes of arc. Default: not judged."""
     curvature_per_mm: AtMost | None = None
     """Curvature of the focal surface, mm of focus for each mm² of image height squared, of either sign. Default: not judged."""
+    curvature_um: AtMost | None = None
+    """The same as focus error in the corners against the centre, µm, of either sign. Default: not judged."""
+    astigmatism_um: AtMost | None = None
+    """Distance of sagittal and tangential focus, µm, the largest of centre, sides and corners. Default: not judged."""
+    focal_surface_um: AtMost | None = None
+    """Focus error over the frame that the best plane leaves, peak to valley, µm. Default: not judged."""
     coma_waves: AtMost | None = None
     """Constant coma, the mark of a decentred lens: waves RMS at the reference wavelength. Default: not judged."""
+    linear_astigmatism_waves: AtMost | None = None
+    """Astigmatism of a decentred lens, which grows with height: in the corners, waves RMS. Default: not judged."""
     distortion_percent: AtMost | None = None
     """Distortion in the worst corner, per cent of its image height, of either sign. Default: not judged."""
     lateral_colour_um: AtMost | None = None
@@ -81,7 +119,12 @@ class Limits(Table):
     @property
     def stated(self) -> dict[str, float]:
         """The limits that the plan states, by name."""
-        return self.model_dump(exclude_none=True)
+        return self.model_dump(exclude_none=True, exclude={"confidence"})
+
+    @staticmethod
+    def is_least(name: str) -> bool:
+        """Return whether a limit is the least that passes; any other is the most."""
+        return "_mtf" in name
 
 
 class Mount(Table):
