@@ -25,6 +25,7 @@ COMMANDS = {
     "bench": {"camera", "capture", "devices", "rail", "target"},
     "catalogue": {"catalogue", "compare", "history", "list"},
     "edges": {"edges"},
+    "field": {"field"},
     "field_moves": {"field"},
     "focus": {"camera"},
     "noise": {"noise"},

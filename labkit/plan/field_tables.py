@@ -70,7 +70,8 @@ class Limits(Table):
     confidence: Annotated[Number, AfterValidator(Allowed(0.5, 0.9999))] = 0.95
     """Least probability of a verdict: a number passes or fails only where its standard error leaves no more doubt."""
     centre_mtf50: AtLeast | None = None
-    """Frequency, cycles/mm, at which the MTF of the optics is a half at the frame's centre, in the worse direction. Default: not judged."""
+    """Frequency, cycles/mm, at which the MTF of the optics is a half at the frame's centre, in the worse direction.
+    Default: not judged."""
     centre_mtf_at_10: Modulation | None = None
     """MTF of the optics at 10 cycles/mm at the frame's centre, in the worse direction. Default: not judged."""
     centre_mtf_at_20: Modulation | None = None
@@ -78,7 +79,8 @@ class Limits(Table):
     centre_mtf_at_40: Modulation | None = None
     """MTF of the optics at 40 cycles/mm at the frame's centre, in the worse direction. Default: not judged."""
     edge_mtf50: AtLeast | None = None
-    """Frequency, cycles/mm, at which the MTF of the optics is a half in the middle of the worst side, in the worse direction. Default: not judged."""
+    """Frequency, cycles/mm, at which the MTF of the optics is a half in the middle of the worst side, in the worse
+    direction. Default: not judged."""
     edge_mtf_at_10: Modulation | None = None
     """MTF of the optics at 10 cycles/mm in the middle of the worst side, in the worse direction. Default: not judged."""
     edge_mtf_at_20: Modulation | None = None
@@ -86,7 +88,8 @@ class Limits(Table):
     edge_mtf_at_40: Modulation | None = None
     """MTF of the optics at 40 cycles/mm in the middle of the worst side, in the worse direction. Default: not judged."""
     corner_mtf50: AtLeast | None = None
-    """Frequency, cycles/mm, at which the MTF of the optics is a half in the worst corner, in the worse direction. Default: not judged."""
+    """Frequency, cycles/mm, at which the MTF of the optics is a half in the worst corner, in the worse direction.
+    Default: not judged."""
     corner_mtf_at_10: Modulation | None = None
     """MTF of the optics at 10 cycles/mm in the worst corner, in the worse direction. Default: not judged."""
     corner_mtf_at_20: Modulation | None = None
