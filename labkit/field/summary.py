@@ -36,7 +36,7 @@ NO_FIELD = (
 
 @dataclass(frozen=True, eq=False)
 class FieldPoint:
-    """What is read at a point of the frame for one direction of detail.
+    """MTF and focus of one direction of detail at a point of the frame.
 
     Parameters
     ----------
