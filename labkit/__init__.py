@@ -29,6 +29,7 @@ if TYPE_CHECKING:
         list_sessions,
         rebuild_catalogue,
     )
+    from labkit.charts.measurement import measure_chart
     from labkit.demo import run_demo
     from labkit.devices.inventory import list_connected
     from labkit.devices.rail_calibration import calibrate_rail
@@ -72,6 +73,7 @@ _PLACES = {
     "lens_history": "catalogue.sessions",
     "list_connected": "devices.inventory",
     "list_sessions": "catalogue.sessions",
+    "measure_chart": "charts.measurement",
     "measure_edges": "edges.measurement",
     "measure_noise": "noise.measure",
     "measure_tone": "calibration.tone_wedge",
@@ -111,6 +113,7 @@ __all__ = [
     "lens_history",
     "list_connected",
     "list_sessions",
+    "measure_chart",
     "measure_edges",
     "measure_noise",
     "measure_tone",

@@ -22,7 +22,7 @@ LIBRARIES = {
 """By name, their packages."""
 
 NO_NUMERICS = {
-    *("acquisition", "advice", "catalogue", "cli", "devices", "drivers"),
+    *("acquisition", "advice", "catalogue", "charts", "cli", "devices", "drivers"),
     *("edges", "experiments", "field", "noise", "report", "restoration"),
     *("cluster.py", "demo.py", "execute.py", "processes.py"),
 }

@@ -24,6 +24,7 @@ from labkit.files import open_standard_streams
 COMMANDS = {
     "bench": {"camera", "capture", "devices", "rail", "target"},
     "catalogue": {"catalogue", "compare", "history", "list"},
+    "chart": {"chart"},
     "edges": {"edges"},
     "field": {"field"},
     "field_moves": {"field"},

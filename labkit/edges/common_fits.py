@@ -101,7 +101,7 @@ def _one_side(boxes: Sequence[BoxFit]) -> list[EdgeFit]:
     return min(costs, key=lambda of: of[0])[1]
 
 
-def _together(
+def joint_problem(
     boxes: Sequence[BoxFit], depths: Sequence[int]
 ) -> tuple[EdgeProblem, list[BoxFit]]:
     """Return the problem of boxes in any colours, each at a depth, and the boxes with their places in it."""
@@ -129,7 +129,7 @@ def _together(
 def _of_one_range(boxes: Sequence[BoxFit]) -> list[BoxFit]:
     """Fit the boxes of one colour with one defocus, the wavefront given."""
     ends = _one_side(boxes)
-    problem, placed = _together(boxes, [0] * len(boxes))
+    problem, placed = joint_problem(boxes, [0] * len(boxes))
     start, _ = _mean(*np.array([end.defocus() for end in ends]).T)
     edges = np.concatenate([end.state.edges for end in ends])
     fit = fit_edges(problem, problem.start([start], edges))
@@ -180,7 +180,7 @@ def _fitted_along(boxes: Sequence[BoxFit], one_range: bool) -> list[BoxFit]:
     colours = by_channel(boxes)
     names = [*colours]
     depths = [names.index(of.channel) if one_range else k for k, of in enumerate(boxes)]
-    problem, placed = _together(boxes, depths)
+    problem, placed = joint_problem(boxes, depths)
     first = [depths.index(depth) for depth in range(problem.depths)]
     noise = [
         np.median([of.fit.state.log_noise for of in every], axis=0)

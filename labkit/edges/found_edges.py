@@ -60,6 +60,11 @@ class FoundEdge:
         near = (np.abs(across) <= depth_px) & (np.abs(along) <= self.length_px / 2)
         return np.asarray(near)
 
+    @property
+    def cut(self) -> bool:
+        """Whether the border of the picture cuts a side, so that the brighter side is unknown."""
+        return bool(np.isnan(self.angle))
+
     def apart(self, other: FoundEdge) -> bool:
         """Return whether two pieces, in samples, are of different edges and outside each other's sides."""
         y, x = np.subtract(self.middle, other.middle)
@@ -79,6 +84,26 @@ def find_edges(
     first, step : (row, column) of the first sample in the raw, and pixels from sample to sample
     most : number of edges
     """
+    found: list[FoundEdge] = []
+    edges = [edge for edge in edge_pieces(picture) if edge.step > LEAST_STEP]
+    for edge in sorted(edges, key=lambda edge: -edge.step * edge.length_px):
+        if len(found) < most and all(edge.apart(other) for other in found):
+            found.append(edge)
+    return [edge.on(first, step) for edge in found]
+
+
+def edge_pieces(picture: Floats, trim: float = 0.0) -> list[FoundEdge]:
+    """Find pieces of straight segments, several upon one edge.
+
+    Parameters
+    ----------
+    picture : (rows, columns) of one colour, counts above black
+    trim : left out at either end of a segment, samples
+
+    Returns
+    -------
+    pieces in samples; the step of one without two even sides is nan
+    """
     picture = real_array("picture", picture, (None, None), "counts")
     low, high = np.percentile(picture, SHADES)
     if not high > low:
@@ -87,19 +112,16 @@ def find_edges(
     # the eye's curve: edges in the dark count as well
     grey = np.round(255 * np.sqrt(picture.clip(0, 1))).astype(np.uint8)
     lines = cv2.createLineSegmentDetector(cv2.LSD_REFINE_STD).detect(grey)[0]
-    edges = []
+    pieces = []
     for line in [] if lines is None else lines.reshape(-1, 2, 2).astype(float):
         start, end = line[:, ::-1]
         length = float(np.hypot(*(end - start)))
-        cuts = np.linspace(start, end, max(1, round(length / PIECE)) + 1)
-        if length >= SHORTEST:
-            edges += [_piece(picture, *piece) for piece in pairwise(cuts)]
-    edges = [edge for edge in edges if edge.step > LEAST_STEP]
-    found: list[FoundEdge] = []
-    for edge in sorted(edges, key=lambda edge: -edge.step * edge.length_px):
-        if len(found) < most and all(edge.apart(other) for other in found):
-            found.append(edge)
-    return [edge.on(first, step) for edge in found]
+        if length - 2 * trim >= SHORTEST:
+            cut = trim / length * (end - start)
+            count = max(1, round((length - 2 * trim) / PIECE))
+            ends = np.linspace(start + cut, end - cut, count + 1)
+            pieces += [_piece(picture, *piece) for piece in pairwise(ends)]
+    return pieces
 
 
 def _piece(picture: Floats, start: Floats, end: Floats) -> FoundEdge:

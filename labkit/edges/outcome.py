@@ -240,12 +240,7 @@ class EdgesOutcome:
 
         with writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
-        photograph = read_photograph(image, plan.sensor)
-        try:
-            grey = grey_image(photograph.light, photograph.pattern)
-        except TargetError:  # nearly even
-            rows, columns = photograph.shape
-            grey = photograph.light[:rows, :columns] / photograph.full_light
+        grey = grey_picture(image, plan)
         with styled():
             picture = png(draw_depth_map(grey, self))
         text = json.dumps(self.as_json(), indent=1, allow_nan=False).encode() + b"\n"
@@ -253,6 +248,16 @@ class EdgesOutcome:
         for path, content in written.items():
             write_atomically(path, content)
         return [*written]
+
+
+def grey_picture(image: Path, plan: Plan) -> Floats:
+    """Return the grey picture (rows, columns) of a photograph, about 0 to 1, that measurements are drawn over."""
+    photograph = read_photograph(image, plan.sensor)
+    try:
+        return grey_image(photograph.light, photograph.pattern)
+    except TargetError:  # nearly even
+        rows, columns = photograph.shape
+        return np.asarray(photograph.light[:rows, :columns] / photograph.full_light)
 
 
 def _responses(at: Floats, responses: Mapping[str, Response | None]) -> dict[str, Any]:

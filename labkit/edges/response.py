@@ -8,6 +8,7 @@ import numpy as np
 
 from labkit.edges.edge_fit import EdgeFit
 from labkit.edges.spread import camera_slice
+from labkit.imaging.optics import Optics
 from labkit.optics.mtf import modulus
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
@@ -32,6 +33,14 @@ class Response:
     mtf50: Uncertain
     mtf10: Uncertain
 
+    def at(self, per_mm: float) -> Uncertain:
+        """Return the response at a frequency; 0 beyond the lens's cutoff."""
+        every = self.frequency_per_mm
+        value, std = (
+            float(np.interp(per_mm, every, of, right=0.0)) for of in (self.value, self.std)
+        )
+        return Uncertain(value, std)
+
 
 def fitted_response(fit: EdgeFit, k: int = 0) -> Response:
     """Return the response of one region's edge, up to twice the raw's Nyquist frequency or the lens's cutoff.
@@ -39,13 +48,29 @@ def fitted_response(fit: EdgeFit, k: int = 0) -> Response:
     Errors are by the delta method, from defocus and the other modes as the fit knows them.
     """
     problem = fit.problem
-    optics = problem.optics_of(k)
+    return response_along(
+        problem.optics_of(k),
+        problem.wavefront(fit.state, k),
+        fit.among(problem.wavefront(fit.state.places, k)),
+        fit.state.edge(k).angle,
+    )
+
+
+def response_along(
+    optics: Optics, waves: Floats, covariance: Floats, azimuth: float
+) -> Response:
+    """Return the response of a camera along an azimuth.
+
+    Parameters
+    ----------
+    optics : of a channel
+    waves, covariance : (modes,), (modes, modes) of its wavefront, RMS at the reference
+    azimuth : radians from x (right) towards y (down)
+    """
     highest = min(1 / optics.pitch_um, 1 / (optics.airy_um * min(optics.light.nodes)))
     frequency = np.linspace(0, highest, RESPONSE_POINTS)
-    waves = problem.wavefront(fit.state, k)
-    of = camera_slice(optics, waves, fit.state.edge(k).angle, frequency)
+    of = camera_slice(optics, waves, azimuth, frequency)
     value, gradient = modulus(of.value, of.by_waves)
-    covariance = fit.among(problem.wavefront(fit.state.places, k))
     std = np.sqrt(np.einsum("if,ij,jf->f", gradient, covariance, gradient).clip(0))
     per_mm = 1e3 * frequency
     falls = (crossing(per_mm, value, std, level) for level in (0.5, 0.1))

@@ -24,7 +24,7 @@ LAYERS = {
     "estimation": ["estimation"],
     "subjects": [
         *("analysis", "advice", "restoration", "edges", "catalogue", "experiments"),
-        *("noise", "field"),
+        *("noise", "field", "charts"),
     ],
     "faces": ["report", "demo", "cli"],
 }

@@ -1,0 +1,152 @@
+"""Figures of a chart: responses against image height on four lines through the centre, and maps over the frame."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+
+from labkit.figure_style import INK, SOFT_INK, WIDTH_IN
+from labkit.plan import leading_channel
+from labkit.types import Floats
+from labkit.uncertain import Uncertain
+
+if TYPE_CHECKING:
+    from labkit.charts.outcome import ChartEdge, ChartOutcome
+
+LINES = {
+    0: "left (−) to right (+)",
+    45: "upper left (−) to lower right (+)",
+    90: "top (−) to bottom (+)",
+    135: "upper right (−) to lower left (+)",
+}
+"""Lines through the centre by the azimuth of their positive end, degrees from right towards down."""
+
+NEAREST_DEG = 22.5
+LEVEL_COLOURS = {10.0: "#0072b2", 20.0: "#009e73", 40.0: "#d55e00"}
+KIND_MARKS = {"T": ("o", "white"), "S": ("s", None), "O": ("x", None), "C": ("+", None)}
+KIND_NAMES = {
+    "S": "S: edge along the radius",
+    "T": "T: edge across the radius",
+    "O": "neither: 45° to the radius",
+    "C": "centre",
+}
+PANEL_IN = 2.1
+MAP_RAMP = "viridis"
+EDGE_PT, RIM_PT = 3.0, 4.6
+
+
+def draw_figures(outcome: ChartOutcome, grey: Floats) -> dict[str, Figure]:
+    """Return the figures by name.
+
+    grey : (rows, columns) of the photograph, about 0 to 1
+    """
+    name = leading_channel(outcome.channels)
+    edges = [edge for edge in outcome.edges if edge.channel == name]
+    return {"profiles": _profiles(edges), "map": _map(edges, grey)}
+
+
+def _profiles(edges: list[ChartEdge]) -> Figure:
+    """Draw responses against signed image height: a row for each line through the centre, never folded."""
+    figure = Figure(figsize=(WIDTH_IN, len(LINES) * PANEL_IN + 0.7), layout="constrained")
+    axes = figure.subplots(len(LINES), 2, sharex=True, sharey="col")
+    for (azimuth, words), (left, right) in zip(LINES.items(), axes, strict=True):
+        on_line = [edge for edge in edges if _is_on(edge, azimuth)]
+        left.set_title(words)
+        left.set_ylabel("MTF50, cycles/mm")
+        right.set_ylabel("MTF")
+        for kind, (marker, face) in KIND_MARKS.items():
+            of_kind = [edge for edge in on_line if edge.kind == kind]
+            fitted = [edge.of.fitted for edge in of_kind]
+            height = [_signed_mm(edge, azimuth) for edge in of_kind]
+            _marks(left, height, [of.mtf50 for of in fitted], INK, marker, face)
+            for level, colour in LEVEL_COLOURS.items():
+                _marks(right, height, [of.at(level) for of in fitted], colour, marker, face)
+        right.set_ylim(0, 1)
+        for each in (left, right):
+            each.axvline(0, color=SOFT_INK, lw=0.6)
+    for each in axes[-1]:
+        each.set_xlabel("image height, mm")
+    _legend(figure, axes[0, 1])
+    return figure
+
+
+def _legend(figure: Figure, axes: Axes) -> None:
+    """Explain marks and colours above all panels."""
+    handles: list[Any] = [
+        axes.errorbar(
+            [], [], fmt=marker, color=INK, mfc=face or INK, ms=4, label=KIND_NAMES[kind]
+        )
+        for kind, (marker, face) in KIND_MARKS.items()
+    ]
+    handles += [
+        axes.plot([], [], color=colour, label=f"at {level:g} cycles/mm")[0]
+        for level, colour in LEVEL_COLOURS.items()
+    ]
+    figure.legend(handles=handles, loc="outside upper center", ncols=4)
+
+
+def _marks(
+    axes: Axes,
+    height: list[float],
+    values: list[Uncertain],
+    colour: str,
+    marker: str,
+    face: str | None,
+) -> None:
+    """Draw values with their errors."""
+    axes.errorbar(
+        height,
+        [of.value for of in values],
+        [of.std for of in values],
+        fmt=marker,
+        color=colour,
+        mfc=face or colour,
+        ms=4,
+        elinewidth=0.8,
+    )
+
+
+def _is_on(edge: ChartEdge, azimuth: int) -> bool:
+    """Return whether a line is the nearest to an edge's place; edges about the centre are on all."""
+    of = np.degrees(np.arctan2(*edge.height_mm)) - azimuth
+    return edge.kind == "C" or abs((of + 90) % 180 - 90) <= NEAREST_DEG
+
+
+def _signed_mm(edge: ChartEdge, azimuth: int) -> float:
+    """Return the image height of an edge, negative before the centre on a line."""
+    y, x = edge.height_mm
+    along = x * np.cos(np.radians(azimuth)) + y * np.sin(np.radians(azimuth))
+    return float(np.copysign(np.hypot(y, x), along))
+
+
+def _map(edges: list[ChartEdge], grey: Floats) -> Figure:
+    """Draw each edge in the colour of its MTF50 over the photograph."""
+    rows, columns = grey.shape
+    figure = Figure(
+        figsize=(WIDTH_IN, WIDTH_IN * 0.86 * rows / columns + 0.8), layout="constrained"
+    )
+    axes = figure.subplots()
+    axes.imshow(np.sqrt(grey.clip(0, 1)), cmap="gray", vmin=-0.5, vmax=1.3)
+    axes.grid(False)
+    axes.set(xlabel="column, px", ylabel="row, px", title="MTF50 across each edge")
+    lines = [_line_px(edge) for edge in edges]
+    rim = LineCollection(lines, colors="white", linewidths=RIM_PT, capstyle="round")
+    drawn = LineCollection(lines, cmap=MAP_RAMP, linewidths=EDGE_PT, capstyle="round")
+    drawn.set_array(np.array([edge.of.fitted.mtf50.value for edge in edges]))
+    for collection in (rim, drawn):
+        axes.add_collection(collection, autolim=False)
+    figure.colorbar(drawn, ax=axes, label="MTF50, cycles/mm", shrink=0.85, pad=0.01)
+    return figure
+
+
+def _line_px(edge: ChartEdge) -> Floats:
+    """Return the ends (2, 2) of an edge, column and row."""
+    angle = np.radians(edge.of.angle_deg)
+    row, column = edge.of.middle_px
+    middle = np.array([column, row])
+    half = edge.of.length_px / 2 * np.array([-np.sin(angle), np.cos(angle)])
+    return np.array([middle - half, middle + half])

@@ -1,0 +1,120 @@
+"""Edges of charts found, grouped by place, and those that cannot be used."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from labkit.charts.chart_edges import chart_edges, grid, is_aligned
+from labkit.edges.boxes import ChannelFrame
+from labkit.errors import DataError
+from labkit.photographs.photograph import Photograph
+from labkit.plan import Plan
+from labkit.types import Floats
+from tests.chart_scenes import PATCH, PLAN, checkerboard, squares
+
+WHITE = 16383.0
+
+
+def channel(counts: Floats) -> ChannelFrame:
+    noisy = counts + np.random.default_rng(1).normal(0, 20, counts.shape)
+    black = np.zeros((2, 2))
+    whole = noisy.clip(0, WHITE).astype(np.uint16)
+    return ChannelFrame.of(Photograph(whole, black, WHITE, ("M",)), "M")
+
+
+def drawn(shape: tuple[int, int], scene: object = squares, bright: float = 6000.0) -> Floats:
+    y, x = np.mgrid[: shape[0], : shape[1]].astype(float)
+    lit = (0.5 + scene(y, x)).clip(0, 1)  # type: ignore[operator]
+    return np.asarray(cv2.GaussianBlur(1000 + (bright - 1000) * lit, (0, 0), 1.5))
+
+
+def test_each_square_gives_its_four_edges_at_its_place() -> None:
+    found = chart_edges(channel(drawn((3 * PATCH, 5 * PATCH))), (3, 5), 4)
+    assert set(found.places) == {(r, c) for r in range(3) for c in range(5)}
+    for cell, places in found.places.items():
+        middles = np.array([place.found.middle for place in places if place.found])
+        assert np.all(np.floor(middles / PATCH) == cell)
+        turns = sorted({round(np.degrees(p.found.angle) % 90) for p in places if p.found})
+        assert turns == [5]
+        assert {round(np.degrees(p.found.angle)) % 180 for p in places if p.found} == {5, 95}
+    assert (found.cut, found.clipped) == (0, 0)
+
+
+def test_edges_that_the_frame_cuts_are_counted() -> None:
+    picture = drawn((3 * PATCH, 5 * PATCH))
+    cropped = picture[int(0.15 * PATCH) :]  # upper edges run along the border
+    found = chart_edges(channel(cropped), (3, 5), 4)
+    assert found.cut == 5
+    whole = chart_edges(channel(picture), (3, 5), 4)
+    number = [sum(map(len, of.places.values())) for of in (found, whole)]
+    assert number[0] <= number[1] - 5
+
+
+def test_clipped_edges_are_left_out_and_counted() -> None:
+    picture = drawn((3 * PATCH, 5 * PATCH))
+    picture[:, : 2 * PATCH] *= 3  # two columns of squares on a clipped ground
+    found = chart_edges(channel(picture), (3, 5), 4)
+    assert {column for _, column in found.places} == {2, 3, 4}
+    assert found.clipped >= 2 * 3 * 4 - 3
+
+
+@pytest.mark.parametrize(
+    ("counts", "words"),
+    [
+        (np.full((300, 400), 3000.0), "0 are cut by the frame and 0 clipped"),
+        (drawn((2 * PATCH, 2 * PATCH), bright=20000.0), "no chart was found"),
+    ],
+)
+def test_a_chart_that_is_not_found_is_one_line(counts: Floats, words: str) -> None:
+    with pytest.raises(DataError, match=words):
+        chart_edges(channel(counts), (3, 3), 2)
+
+
+def test_edges_beyond_the_requested_number_are_spare() -> None:
+    few = chart_edges(channel(drawn((3 * PATCH, 3 * PATCH))), (3, 3), 1)
+    more = chart_edges(channel(drawn((3 * PATCH, 3 * PATCH))), (3, 3), 2)
+    assert {len(places) for places in few.places.values()} == {2}
+    count = [sum(map(len, of.places.values())) + of.spare for of in (few, more)]
+    assert count[0] == count[1]
+
+
+def test_a_checkerboards_edges_end_before_its_corners() -> None:
+    found = chart_edges(channel(drawn((3 * PATCH, 3 * PATCH), checkerboard)), (3, 3), 9)
+    places = [p.found for every in found.places.values() for p in every if p.found]
+    assert len(places) >= 20
+    turn = np.radians(5.0)
+    for place in places:
+        row, column = place.middle
+        along = (
+            row * np.cos(turn) - column * np.sin(turn)
+            if abs(np.cos(place.angle)) > 0.7
+            else column * np.cos(turn) + row * np.sin(turn)
+        )
+        to_corner = PATCH / 2 - abs(along % PATCH - PATCH / 2)
+        assert to_corner - place.length_px / 2 > 8  # 12 are trimmed off what LSD finds
+
+
+@pytest.mark.parametrize(
+    ("shape", "columns", "cells"),
+    [((4000, 6000), 7, (5, 7)), ((6000, 4000), 3, (5, 3)), ((3000, 4000), 9, (7, 9))],
+)
+def test_cells_are_nearly_square_and_odd_in_number(
+    shape: tuple[int, int], columns: int, cells: tuple[int, int]
+) -> None:
+    assert grid(shape, columns) == cells
+
+
+@pytest.mark.parametrize(
+    ("angle_deg", "aligned"),
+    [(0.5, True), (-0.5, True), (90.8, True), (-179.3, True), (1.2, False), (45.0, False)],
+)
+def test_edges_along_rows_or_columns_are_told(angle_deg: float, aligned: bool) -> None:
+    assert is_aligned(angle_deg) == aligned
+
+
+def test_the_plan_of_the_scenes_is_one() -> None:
+    assert Plan.parse(PLAN, Path()).sensor.pixel_pitch_um == 4.78
