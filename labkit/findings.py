@@ -237,21 +237,17 @@ TEXTS = {
         "see whether the box holds one straight edge between even sides"
     ),
     # charts
-    "chart-edges-left-out": (
-        "left out: {cut} edges of the chart that the frame cuts, {clipped} with clipped pixels"
-    ),
-    "chart-edges-not-fitted": "{count} edges of the chart gave no fit, most of them since: {why}",
+    "chart-edges-left-out": "left out: {cut} edges cut by the frame, {clipped} clipped",
+    "chart-edges-not-fitted": "{count} edges of the chart gave no fit, most as: {why}",
     "chart-edges-along-pixels": (
-        "{count} of {edges} edges run within 1 degree of rows or columns, where few phases between pixels are sampled: "
-        "turn the chart by about 5 degrees"
+        "{count} of {edges} edges run within 1 degree of rows or columns and are badly sampled: turn the chart by 5 degrees"
     ),
     "chart-directions-missing": (
-        "S and T are not determined at {count} of {places} places, whose edges are at 45 degrees to the radius or of one "
-        "direction: photograph the chart turned by 45 degrees as well"
+        "S and T are not determined at {count} of {places} places, for want of an edge nearly along or across the radius: "
+        "photograph the chart turned by 45 degrees as well"
     ),
     "chart-focus-sign-open": (
-        "the sign of the focus errors is open, and no focal surface is given: give photographs at two ranges or more, and "
-        "--range MM for each"
+        "the sign of the focus errors is open: give photographs at two ranges or more, and --range MM for each"
     ),
 }
 """The sentence of each code. `where` is the key's label; other names are numbers, or words made of them."""

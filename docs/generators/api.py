@@ -36,6 +36,8 @@ RELATED = {
     "labkit.session.draft_plan": ("Draft",),
     "labkit.target_file": ("Rendering",),
     "labkit.calibration.tone_wedge": ("Tone",),
+    "labkit.charts.outcome": ("ChartOutcome", "ChartPlace", "ChartEdge"),
+    "labkit.charts.focal_surface": ("FocalSurface", "PlaceFocus"),
     "labkit.edges.outcome": ("EdgesOutcome", "MeasuredEdge", "RejectedEdge"),
     "labkit.restoration.restored_photographs": ("Restoration",),
     "labkit.demo": ("Comparison",),

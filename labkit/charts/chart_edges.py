@@ -16,8 +16,10 @@ Cell = tuple[int, int]
 """Row and column of a place in the grid."""
 
 CORNER = 12.0  # samples at the end of an edge, which the next edge of its square blurs
-NEIGHBOURS = 1.5  # lengths of a piece: pieces that are farther apart are of different edges
-LEAST_ROWS = 3  # of the grid
+NEIGHBOUR_LENGTHS = (
+    1.5  # lengths of a piece: pieces that are farther apart are of different edges
+)
+LEAST_GRID_ROWS = 3  # of the grid
 ALIGNED_DEG = 1.0  # against rows or columns: such an edge is sampled at few phases
 
 
@@ -42,7 +44,7 @@ def grid(shape: tuple[int, int], columns: int) -> tuple[int, int]:
     """Return rows and columns of nearly square cells over a frame, both odd: the middle is a place of its own."""
     rows, wide = shape
     half = (columns * rows / wide - 1) / 2
-    return max(LEAST_ROWS, 2 * round(half) + 1), columns
+    return max(LEAST_GRID_ROWS, 2 * round(half) + 1), columns
 
 
 def chart_edges(frame: ChannelFrame, cells: tuple[int, int], each: int) -> ChartEdges:
@@ -95,7 +97,7 @@ def _once(pieces: Sequence[FoundEdge]) -> list[FoundEdge]:
     tree = cKDTree([piece.middle for piece in pieces])
     kept: dict[int, FoundEdge] = {}
     for k, near in enumerate(
-        tree.query_ball_point([piece.middle for piece in pieces], NEIGHBOURS * PIECE)
+        tree.query_ball_point([piece.middle for piece in pieces], NEIGHBOUR_LENGTHS * PIECE)
     ):
         if all(pieces[k].apart(kept[j]) for j in near if j in kept):
             kept[k] = pieces[k]

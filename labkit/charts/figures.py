@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
 if TYPE_CHECKING:
+    from labkit.charts.focal_surface import PlaceFocus
     from labkit.charts.outcome import ChartEdge, ChartOutcome
 
 LINES = {
@@ -34,9 +36,10 @@ KIND_NAMES = {
     "O": "neither: 45° to the radius",
     "C": "centre",
 }
+FOCUS_MARKS = {"medial": ("#1c1e21", "D"), "S": ("#0072b2", "s"), "T": ("#d55e00", "o")}
 PANEL_IN = 2.1
 MAP_RAMP = "viridis"
-EDGE_PT, RIM_PT = 3.0, 4.6
+EDGE_PT, EDGE_RIM_PT = 3.0, 4.6
 
 
 def draw_figures(outcome: ChartOutcome, grey: Floats) -> dict[str, Figure]:
@@ -46,7 +49,10 @@ def draw_figures(outcome: ChartOutcome, grey: Floats) -> dict[str, Figure]:
     """
     name = leading_channel(outcome.channels)
     edges = [edge for edge in outcome.edges if edge.channel == name]
-    return {"profiles": _profiles(edges), "map": _map(edges, grey)}
+    figures = {"profiles": _profiles(edges), "map": _map(edges, grey)}
+    if outcome.surfaces.get(name):
+        figures["focus"] = _focus(outcome.foci[name])
+    return figures
 
 
 def _profiles(edges: list[ChartEdge]) -> Figure:
@@ -61,7 +67,7 @@ def _profiles(edges: list[ChartEdge]) -> Figure:
         for kind, (marker, face) in KIND_MARKS.items():
             of_kind = [edge for edge in on_line if edge.kind == kind]
             fitted = [edge.of.fitted for edge in of_kind]
-            height = [_signed_mm(edge, azimuth) for edge in of_kind]
+            height = [_signed_mm(edge.height_mm, azimuth) for edge in of_kind]
             _marks(left, height, [of.mtf50 for of in fitted], INK, marker, face)
             for level, colour in LEVEL_COLOURS.items():
                 _marks(right, height, [of.at(level) for of in fitted], colour, marker, face)
@@ -110,15 +116,55 @@ def _marks(
     )
 
 
+def _focus(foci: Sequence[PlaceFocus]) -> Figure:
+    """Draw S, T and medial focus against signed image height on the lines through the centre."""
+    figure = Figure(figsize=(WIDTH_IN, 2 * PANEL_IN + 1.0), layout="constrained")
+    axes = figure.subplots(2, 2, sharex=True, sharey=True)
+    for (azimuth, words), panel in zip(LINES.items(), axes.ravel(), strict=True):
+        panel.set_title(words)
+        panel.axvline(0, color=SOFT_INK, lw=0.6)
+        on_line = sorted(
+            (_signed_mm(of.height_mm, azimuth), k)
+            for k, of in enumerate(foci)
+            if _is_near(of.height_mm, azimuth)
+        )
+        for kind, (colour, marker) in FOCUS_MARKS.items():
+            known = [(mm, foci[k].of(kind)) for mm, k in on_line]
+            known = [(mm, of) for mm, of in known if np.isfinite(of.value)]
+            _marks(
+                panel,
+                [mm for mm, _ in known],
+                [of for _, of in known],
+                colour,
+                marker,
+                None,
+            )
+    for panel in axes[:, 0]:
+        panel.set_ylabel("sensor behind the image, µm")
+    for panel in axes[-1]:
+        panel.set_xlabel("image height, mm")
+    handles = [
+        panel.errorbar([], [], fmt=marker, color=colour, ms=4, label=f"{kind} focus")
+        for kind, (colour, marker) in FOCUS_MARKS.items()
+    ]
+    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
+    return figure
+
+
 def _is_on(edge: ChartEdge, azimuth: int) -> bool:
     """Return whether a line is the nearest to an edge's place; edges about the centre are on all."""
-    of = np.degrees(np.arctan2(*edge.height_mm)) - azimuth
-    return edge.kind == "C" or abs((of + 90) % 180 - 90) <= NEAREST_DEG
+    return edge.kind == "C" or _is_near(edge.height_mm, azimuth)
 
 
-def _signed_mm(edge: ChartEdge, azimuth: int) -> float:
-    """Return the image height of an edge, negative before the centre on a line."""
-    y, x = edge.height_mm
+def _is_near(height_mm: Floats, azimuth: int) -> bool:
+    """Return whether a line is the nearest to a place."""
+    of = np.degrees(np.arctan2(*height_mm)) - azimuth
+    return bool(abs((of + 90) % 180 - 90) <= NEAREST_DEG)
+
+
+def _signed_mm(height_mm: Floats, azimuth: int) -> float:
+    """Return an image height, negative before the centre on a line."""
+    y, x = height_mm
     along = x * np.cos(np.radians(azimuth)) + y * np.sin(np.radians(azimuth))
     return float(np.copysign(np.hypot(y, x), along))
 
@@ -134,7 +180,7 @@ def _map(edges: list[ChartEdge], grey: Floats) -> Figure:
     axes.grid(False)
     axes.set(xlabel="column, px", ylabel="row, px", title="MTF50 across each edge")
     lines = [_line_px(edge) for edge in edges]
-    rim = LineCollection(lines, colors="white", linewidths=RIM_PT, capstyle="round")
+    rim = LineCollection(lines, colors="white", linewidths=EDGE_RIM_PT, capstyle="round")
     drawn = LineCollection(lines, cmap=MAP_RAMP, linewidths=EDGE_PT, capstyle="round")
     drawn.set_array(np.array([edge.of.fitted.mtf50.value for edge in edges]))
     for collection in (rim, drawn):

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from labkit.charts.place_fit import ASTIGMATISM, PlaceFit
+from labkit.charts.place_fit import ASTIGMATIC, PlaceFit
 from labkit.edges.ranges import symmetric_error
 from labkit.optics.lens import blur_per_wave_um
 from labkit.types import Floats
@@ -160,7 +160,7 @@ def _foci(fit: PlaceFit, height_mm: Floats, modes: int) -> Floats:
     rows = np.zeros((len(FOCUS_KINDS), 2 + modes))
     rows[:, 0] = 1
     azimuth = 2 * np.arctan2(*height_mm)
-    for mode, share in zip(ASTIGMATISM, (np.sin(azimuth), np.cos(azimuth)), strict=True):
+    for mode, share in zip(ASTIGMATIC, (np.sin(azimuth), np.cos(azimuth)), strict=True):
         if mode in fit.optics.noll:
             at = 1 + fit.optics.noll.index(mode)
             rows[1:, at] = np.array([-1, 1]) * share * np.sqrt(0.5)

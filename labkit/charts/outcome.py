@@ -25,16 +25,16 @@ LEVELS_PER_MM = (10.0, 20.0, 40.0)
 HALF_SECTOR_DEG = 22.5
 """Between the radius, its perpendicular and the directions midway: an edge belongs to the nearest."""
 
-KINDS = {
+EDGE_KINDS = {
     "T": "tangential",
     "S": "sagittal",
     "O": "neither: 45° to the radius",
     "C": "centre",
 }
 UNKNOWN_MTF = 0.1  # standard error of a response from which a place says nothing
-DECIMALS = 6
+JSON_DECIMALS = 6
 
-HEADING = ["place", "height, mm", "azimuth", "channel", "edges"]
+PLACE_HEADING = ["place", "height, mm", "azimuth", "channel", "edges"]
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ class ChartPlace:
             **_place(self.height_mm),
             "edges": len(self.edges),
             **{
-                KINDS[kind]: _responses(of) if self.known(kind) else None
+                EDGE_KINDS[kind]: _responses(of) if self.known(kind) else None
                 for kind, of in self.responses.items()
             },
         }
@@ -210,7 +210,7 @@ class ChartOutcome:
     def rows(self) -> list[list[str]]:
         """Return a heading and a row for each place."""
         names = ["MTF50", *(f"at {level:g}/mm" for level in LEVELS_PER_MM)]
-        heading = HEADING + [f"{kind} {name}" for kind in "ST" for name in names]
+        heading = PLACE_HEADING + [f"{kind} {name}" for kind in "ST" for name in names]
         return [heading, *(place.row for place in self.places)]
 
     def focus_rows(self) -> list[list[str]]:
@@ -265,7 +265,7 @@ def _json(value: Any) -> Any:
         case Uncertain():
             return value.as_json()
         case float() | np.floating():
-            return round(float(value), DECIMALS) if np.isfinite(value) else None
+            return round(float(value), JSON_DECIMALS) if np.isfinite(value) else None
         case np.bool_():
             return bool(value)
         case Sequence() if not isinstance(value, str):

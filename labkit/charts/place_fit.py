@@ -22,7 +22,7 @@ from labkit.imaging.optics import Optics
 from labkit.optics.zernike import noll_to_nm
 from labkit.types import Floats
 
-ASTIGMATISM = (5, 6)
+ASTIGMATIC = (5, 6)
 FIELD_MODE_STD = {2: 0.2, 3: 0.1}
 """Waves RMS by radial order, of the prior at a place of the field; USUAL_MODE_STD for higher orders."""
 
@@ -178,7 +178,7 @@ def _likeliest(problem: EdgeProblem, boxes: Sequence[BoxFit], law: Floats) -> Ed
     ends = []
     for defoci, astigmatism in _starts(problem, boxes, law):
         start = problem.start(defoci, edges, noise)
-        for mode, waves in zip(ASTIGMATISM, astigmatism, strict=True):
+        for mode, waves in zip(ASTIGMATIC, astigmatism, strict=True):
             if mode in problem.noll:
                 start.modes[problem.noll.index(mode) - 1] = waves
         ends.append(fit_edges(problem, start, ROUGHLY))

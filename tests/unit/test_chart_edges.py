@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
@@ -12,9 +10,8 @@ from labkit.charts.chart_edges import chart_edges, grid, is_aligned
 from labkit.edges.boxes import ChannelFrame
 from labkit.errors import DataError
 from labkit.photographs.photograph import Photograph
-from labkit.plan import Plan
 from labkit.types import Floats
-from tests.chart_scenes import PATCH, PLAN, checkerboard, squares
+from tests.chart_scenes import PATCH, checkerboard, squares
 
 WHITE = 16383.0
 
@@ -26,7 +23,9 @@ def channel(counts: Floats) -> ChannelFrame:
     return ChannelFrame.of(Photograph(whole, black, WHITE, ("M",)), "M")
 
 
-def drawn(shape: tuple[int, int], scene: object = squares, bright: float = 6000.0) -> Floats:
+def drawn(
+    shape: tuple[int, int], scene: object = squares, bright: float = 6000.0
+) -> Floats:
     y, x = np.mgrid[: shape[0], : shape[1]].astype(float)
     lit = (0.5 + scene(y, x)).clip(0, 1)  # type: ignore[operator]
     return np.asarray(cv2.GaussianBlur(1000 + (bright - 1000) * lit, (0, 0), 1.5))
@@ -40,7 +39,10 @@ def test_each_square_gives_its_four_edges_at_its_place() -> None:
         assert np.all(np.floor(middles / PATCH) == cell)
         turns = sorted({round(np.degrees(p.found.angle) % 90) for p in places if p.found})
         assert turns == [5]
-        assert {round(np.degrees(p.found.angle)) % 180 for p in places if p.found} == {5, 95}
+        assert {round(np.degrees(p.found.angle)) % 180 for p in places if p.found} == {
+            5,
+            95,
+        }
     assert (found.cut, found.clipped) == (0, 0)
 
 
@@ -114,7 +116,3 @@ def test_cells_are_nearly_square_and_odd_in_number(
 )
 def test_edges_along_rows_or_columns_are_told(angle_deg: float, aligned: bool) -> None:
     assert is_aligned(angle_deg) == aligned
-
-
-def test_the_plan_of_the_scenes_is_one() -> None:
-    assert Plan.parse(PLAN, Path()).sensor.pixel_pitch_um == 4.78

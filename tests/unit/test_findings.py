@@ -153,6 +153,11 @@ SAMPLES = [
         fit_per_mm=55.3,
         iso_per_mm=87.4,
     ),
+    found("chart-edges-left-out", cut=5, clipped=2),
+    found("chart-edges-not-fitted", count=3, why="it holds no edge"),
+    found("chart-edges-along-pixels", count=12, edges=140),
+    found("chart-directions-missing", count=8, places=35),
+    found("chart-focus-sign-open"),
 ]
 """One of each."""
 
