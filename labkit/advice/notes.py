@@ -7,10 +7,13 @@ from typing import TYPE_CHECKING
 
 from labkit.advice.expected_fit import Setup
 from labkit.advice.outlook import LENS_NUMBERS, Outlook, Proposal
+from labkit.errors import TargetError
 from labkit.panel.panels import plan_panel
+from labkit.panel.picture import panel_picture
 from labkit.panel.stripe_contrast import LEAST_STRIPE_CONTRAST, stripe_contrast
 from labkit.plan import Channel, Plan
 from labkit.plan.sensor import BAYER
+from labkit.target_grid import open_grid
 
 if TYPE_CHECKING:
     from labkit.advice.advise import RangeAdvice
@@ -47,6 +50,7 @@ def notes_of(
     yield from _carpet_notes(plan, advised)
     yield from _size_notes(plan, advised)
     yield from _fit_notes(advised)
+    yield from _grid_notes(plan, advised)
     yield from _display_notes(plan, advised)
     yield from _sampling_notes(plan, channel)
     if frames is not None and want_waves is not None and frames > setup.frames:
@@ -96,6 +100,25 @@ def _size_notes(plan: Plan, advised: Sequence[RangeAdvice]) -> Iterator[str]:
         yield f"the target spans {smallest:.0f} pixels only: about {wide:.3g} mm would span {ENOUGH_PX}"
     if largest > MOST_PX:
         yield f"the target spans {largest:.0f} pixels: no sensor holds all of it; choose a smaller one"
+
+
+def _grid_notes(plan: Plan, advised: Sequence[RangeAdvice]) -> Iterator[str]:
+    """Yield how many pixels a grid of targets takes, and whether the display holds the grid."""
+    grid = open_grid(plan.target)
+    if grid is None:
+        return
+    nearest = max(advised, key=lambda at: at.size_px)
+    rows, cols = (side * nearest.size_px / plan.target.size_mm for side in grid.size_mm)
+    yield (
+        f"at {nearest.range_mm:g} mm the grid spans {rows:.0f} × {cols:.0f} pixels: the field beyond is not measured, "
+        "and targets that the frame cuts are left out"
+    )
+    panel = plan_panel(plan)
+    try:
+        if panel is not None:
+            panel_picture(grid, panel)
+    except TargetError as error:
+        yield f"on the display {error}"
 
 
 def _fit_notes(advised: Sequence[RangeAdvice]) -> Iterator[str]:

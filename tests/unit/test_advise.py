@@ -362,3 +362,19 @@ def test_modes_are_told_as_far_as_the_light_reaches(
         noll = tuple(range(4, end + 1))
         fit = setup.fit(shortest(plan), 3200.0, setup.defocus(3200.0), noll)
         assert (max(fit.bound.std[: len(noll)]) <= 0.01) == (end <= last)
+
+
+def test_the_pixels_that_a_grid_takes_are_noted(plan: Plan) -> None:
+    grid = {"size_mm": 46.8, "grid": [2, 3], "pitch_mm": 70.2}
+    notes = advise(plan.replace(target=grid)).notes
+    (words,) = [note for note in notes if "the grid spans" in note]
+    # 117 × 187.2 mm through a thin lens of 70 mm at 3 m, on pixels of 4.78 um
+    side = 70 / (min(plan.rail.ranges_mm) - 70) / 4.78e-3 if plan.rail else 0.0
+    assert f"{117 * side:.0f} × {187.2 * side:.0f} pixels" in words
+
+
+def test_a_grid_that_the_display_cannot_hold_is_noted(plan: Plan) -> None:
+    grid = {"size_mm": 46.8, "grid": [9, 9], "pitch_mm": 70.2}
+    notes = advise(plan.replace(target=grid)).notes
+    # 148 × 197 mm of an iPad
+    assert [note for note in notes if "it holds grid = [2, 3] of them" in note]
