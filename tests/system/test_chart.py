@@ -163,9 +163,8 @@ def test_ranges_give_the_focus_of_each_place_with_its_sign(
         y, x = of.height_mm
         medial.append(of.of("medial"))
         half = S_TO_T * (x * x + y * y) / 2
-        apart += pulls(
-            [of.of("S"), of.of("T")], [m := medial_um(y, x) - half, m + 2 * half]
-        )
+        truth = medial_um(y, x) + half * np.array([-1, 1])
+        apart += pulls([of.of("S"), of.of("T")], truth)
     off = pulls(medial, np.array([medial_um(*of.height_mm) for of in foci]))
     assert np.std(off) < 2
     assert abs(np.mean(off)) < 1.5
