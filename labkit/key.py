@@ -11,6 +11,9 @@ DECIMALS = 5
 WRITTEN = ".12g"
 """The longest range, 1 km, with all its decimals."""
 
+Tile = tuple[int, int]
+"""(row, column) of a tile of the field."""
+
 
 @dataclass(frozen=True, slots=True)
 class Key:
@@ -27,7 +30,7 @@ class Key:
 
     range_mm: float | None
     channel: str
-    tile: tuple[int, int] | None = None
+    tile: Tile | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "range_mm", rounded(self.range_mm))

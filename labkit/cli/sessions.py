@@ -367,6 +367,13 @@ def report(
             "--pdf", help="Print it as report.pdf too: needs Chromium, Chrome or Edge."
         ),
     ] = False,
+    tile: Annotated[
+        tuple[int, int] | None,
+        typer.Option(
+            metavar="ROW COLUMN",
+            help="Tile whose wavefronts are shown one by one; otherwise the tile nearest to the centre of the frame.",
+        ),
+    ] = None,
 ) -> None:
     """Write the report as one HTML page. The page needs no other file; figures also lie in the folder."""
     a_session(session)
@@ -379,7 +386,9 @@ def report(
     _ = opened.plan  # one that was altered is named before anything is reported
     opened.results_folder(name)  # and so are links
     with console.progress("reporting") as progress:
-        made = write_report(Results.load(session, name), pdf=pdf, progress=progress)
+        made = write_report(
+            Results.load(session, name), pdf=pdf, tile=tile, progress=progress
+        )
     console.say(f"report: {made}")
     printed = made.with_suffix(".pdf") if pdf else None
     if printed is not None:

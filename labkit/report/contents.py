@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from labkit.figure_style import channel_inks
 from labkit.optics.wavefront import DEFOCUS
 from labkit.report.camera_table import light_table, missing_words, part_table, tried_table
+from labkit.report.cards import Card, Number, number_of, signed
 from labkit.report.curves import MTF_DIRECTIONS, ChannelFocus, Curves, full_nyquist_per_mm
 from labkit.report.fit_tables import fit_table, method_table, residual_table
 from labkit.report.lens_tables import (
@@ -25,18 +25,20 @@ from labkit.report.lens_tables import (
 )
 from labkit.report.photographs import Photographs, off_centre, photograph_table, place_table
 from labkit.report.table import (
-    NO_ERROR,
-    PLUS_MINUS,
-    estimated,
     fixed,
     millimetres,
 )
+from labkit.report.tiles import tiles_of
 from labkit.results import ColourShift, Results, Wavefront
 from labkit.results.tables import NOT_FITTED
-from labkit.results.verdicts import CONTRADICTIONS, explained
+from labkit.results.verdicts import CONTRADICTIONS, MOST_NAMES, explained
 from labkit.uncertain import Uncertain
 
+if TYPE_CHECKING:
+    from labkit.report.field.plates import FieldArtist
+
 SECTIONS = {
+    "field": "Over the field",
     "best-focus": "At best focus",
     "depth": "Through focus",
     "wavefronts": "Wavefront",
@@ -49,20 +51,32 @@ SECTIONS = {
     "downloads": "Files",
     "provenance": "Provenance",
 }
-OPTIONAL_SECTIONS = {"lens", "budget", "camera", "fits"}
+OPTIONAL_SECTIONS = {"field", "lens", "budget", "camera", "fits"}
 
 
 def contents(
-    results: Results, curves: Sequence[Curves], photographs: Photographs, drawn: set[str]
+    whole: Results,
+    results: Results,
+    curves: Sequence[Curves],
+    photographs: Photographs,
+    drawn: set[str],
+    field: FieldArtist | None = None,
 ) -> dict[str, Any]:
-    """Return the values of the template. drawn: sections with figures."""
+    """Return the values of the template.
+
+    whole: the session; results: the part that the page shows wavefront by wavefront; drawn: sections with figures;
+    field: who draws the field, None without its model
+    """
     focused = [c.focus for c in curves]
     lens = lens_table(results)
     shown = set(SECTIONS) - OPTIONAL_SECTIONS | (drawn & OPTIONAL_SECTIONS)
+    shown |= {"field"} if field else set()
     shown |= {"lens"} if lens or results.focus else set()
     shown |= {"camera"} if results.parts_tried else set()
     return {
         "m": results,
+        "tiles": tiles_of(whole),
+        "tile": results.wavefronts[0].tile,
         "plan": results.plan,
         "curves": curves,
         "photographs": photographs,
@@ -71,10 +85,14 @@ def contents(
         "session": session_name(results),
         "folder": results.folder and str(results.folder.resolve()),
         "nyquist": full_nyquist_per_mm(results.plan.sensor),
-        "cards": answer(results, focused, photographs),
+        "cards": [
+            *(field.cards() if field else ()),
+            *answer(results, focused, photographs),
+        ],
         "missing": missing_words(results),
         "sources": SOURCES,
-        "checks": _checks(results),
+        "checks": _checks(whole),
+        "field_table": field.table() if field else None,
         "lens_table": lens,
         "focus_table": focus_table(focused, results.reference_wavelength_nm),
         "depth_table": depth_table(curves, results),
@@ -152,34 +170,18 @@ def _count(what: str, but: Sequence[Wavefront], fits: int) -> dict[str, Any]:
 
 
 def _names(wavefronts: Sequence[Wavefront]) -> str:
-    return ", ".join(f"{millimetres(w.range_mm)} {w.channel}" for w in wavefronts)
+    """Return the names of the first wavefronts, and the number of the others."""
+    shown = [_name(w) for w in wavefronts[:MOST_NAMES]]
+    more = len(wavefronts) - len(shown)
+    return ", ".join(shown + ([f"and {more} more"] if more else []))
+
+
+def _name(w: Wavefront) -> str:
+    tile = "" if w.tile is None else f" tile {w.tile}"
+    return f"{millimetres(w.range_mm)} {w.channel}{tile}"
 
 
 CHI2_USUAL = (0.9, 1.5)
-
-
-@dataclass(frozen=True, slots=True)
-class Number:
-    """A value and its error as they are printed, the error with its sign."""
-
-    value: str
-    error: str
-
-
-@dataclass(frozen=True, slots=True)
-class Card:
-    """Numbers of one kind.
-
-    rows: a channel or words, and its numbers; head: what each column holds; strong: how many columns lead; big: words in
-    place of rows.
-    """
-
-    title: str
-    note: str
-    rows: tuple[tuple[str, tuple[Number, ...]], ...] = ()
-    head: tuple[str, ...] = ()
-    strong: int = 1
-    big: str = ""
 
 
 def answer(
@@ -234,7 +236,7 @@ def _best_focus(results: Results) -> Card:
         why = ": see the warnings below" if results.warnings else ""
         note = f"These fits do not give best focus{why}. Each defocus is in the tables."
         return Card("Best focus", note, big="not fitted")
-    rows = [(c, (_number(best),)) for c, best in focus.best_focus_mm.items()]
+    rows = [(c, (number_of(best),)) for c, best in focus.best_focus_mm.items()]
     note = "Range of the target that the lens is focused at, ± one standard error."
     return Card("Best focus", note, tuple(rows), ("mm",))
 
@@ -243,7 +245,7 @@ def _colour(results: Results, colour: Sequence[ColourShift]) -> Card:
     rows = []
     for shift in colour:
         each = [shift.range_shift, *([shift.sensor_shift] if shift.sensor_shift else [])]
-        rows.append((shift.name, tuple(_signed(number) for number in each)))
+        rows.append((shift.name, tuple(signed(number) for number in each)))
     known = results.focus is not None and results.focus.covariance is not None
     error = "of the difference" if known else "as if the channels' were independent"
     note = f"Best focus less that of {colour[0].reference}, ± one standard error {error}."
@@ -256,7 +258,11 @@ def _colour(results: Results, colour: Sequence[ColourShift]) -> Card:
 
 def _place(results: Results, photographs: Photographs) -> Card:
     title = "Place in the field"
-    note = "All numbers are of this one place."
+    note = (
+        "All numbers but the field's are of this one place."
+        if results.field
+        else ("All numbers are of this one place.")
+    )
     away = off_centre(results, photographs)
     if away is None:
         return Card(title, f"{note} The frame is not at hand.", big="not known")
@@ -278,17 +284,4 @@ def _span(values: Sequence[float], places: int) -> str:
 
 def _of(b: ChannelFocus, number: Uncertain, *, least: int = 0) -> Number:
     """Return a number of the lens; "not fitted" if defocus is the only mode."""
-    return _number(number, least=least) if b.fitted.noll else Number(NOT_FITTED, "")
-
-
-def _number(number: Uncertain, *, least: int = 0) -> Number:
-    value, mark, error = estimated(number, least=least).partition(PLUS_MINUS)
-    if not mark and value.endswith(NO_ERROR):
-        return Number(value.removesuffix(NO_ERROR), NO_ERROR)
-    return Number(value, f"{mark}{error}")
-
-
-def _signed(number: Uncertain) -> Number:
-    """Return a number with its sign, a plus too."""
-    printed = _number(number)
-    return Number(f"+{printed.value}", printed.error) if number.value > 0 else printed
+    return number_of(number, least=least) if b.fitted.noll else Number(NOT_FITTED, "")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,6 +20,9 @@ from labkit.report.table import bare, estimated, millimetres
 from labkit.results import Results, Wavefront
 from labkit.types import Floats
 
+if TYPE_CHECKING:
+    from labkit.report.field.plates import FieldArtist
+
 
 @dataclass(frozen=True, slots=True)
 class Artist:
@@ -27,6 +31,7 @@ class Artist:
     results: Results
     curves: Sequence[Curves]
     photographs: Photographs
+    field: FieldArtist | None = None
 
     @property
     def focused(self) -> list[ChannelFocus]:
@@ -206,7 +211,29 @@ class Artist:
             yield Plate("residuals", panels, across=3)
 
 
+def _of_field(
+    draw: Callable[[FieldArtist, Artist], Iterable[Plate]],
+) -> Callable[[Artist], Iterable[Plate]]:
+    """Return a drawer of the field's plates, which are none without its model."""
+    return lambda artist: draw(artist.field, artist) if artist.field is not None else ()
+
+
 DRAWN_SECTIONS: dict[str, tuple[str, Callable[[Artist], Iterable[Plate]]]] = {
+    "field-focus": ("focus over the frame", _of_field(lambda field, _: field.focus())),
+    "field-contrast": ("MTF over the frame", _of_field(lambda field, _: field.contrast())),
+    "field-shapes": (
+        "aberrations over the frame",
+        _of_field(lambda field, _: field.shapes()),
+    ),
+    "field-places": ("distortion", _of_field(lambda field, _: field.places())),
+    "field-tiles": (
+        "tiles",
+        _of_field(lambda field, artist: field.tiles(artist.photographs)),
+    ),
+    "field-others": (
+        "other channels over the frame",
+        _of_field(lambda field, _: field.others()),
+    ),
     "best-focus": ("best focus", Artist.at_best_focus),
     "focus": ("focus", Artist.focus),
     "depth": ("through focus", Artist.through_focus),

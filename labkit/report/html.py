@@ -13,13 +13,15 @@ from itertools import count
 from math import isfinite
 from pathlib import Path
 from re import sub
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from labkit.errors import DataError, InputError
+from labkit.figure_style import channel_inks
 from labkit.files import refuse_links, write_atomically, writing
+from labkit.key import Tile
 from labkit.optics.through_focus import ThroughFocus
 from labkit.optics.zernike import mode_name
 from labkit.report.contents import contents
@@ -36,14 +38,22 @@ from labkit.report.table import (
     plus_minus,
     when,
 )
+from labkit.report.tiles import central_tile, of_tile
 from labkit.results import Results, Wavefront
 from labkit.types import Floats, Progress, no_progress
+
+if TYPE_CHECKING:
+    from labkit.report.field.plates import FieldArtist
 
 TEMPLATES = Path(__file__).parent / "templates"
 
 
 def write_report(
-    results: Results | Path | str, *, pdf: bool = False, progress: Progress = no_progress
+    results: Results | Path | str,
+    *,
+    pdf: bool = False,
+    tile: Tile | None = None,
+    progress: Progress = no_progress,
 ) -> Path:
     """Write report.html and figures/ into the folder of the results, and report.pdf if requested.
 
@@ -51,6 +61,8 @@ def write_report(
     ----------
     results : of a fit or loaded, or the folder of a session or of results
     pdf : whether to print the page as report.pdf too; one of an earlier report is removed in any case
+    tile : (row, column) of the tile whose wavefronts are shown one by one; by default the
+        tile nearest to the frame's centre. Results of whole frames have none
     progress : called as the work goes on
 
     Returns
@@ -60,7 +72,7 @@ def write_report(
     Raises
     ------
     DataError : there are no results
-    InputError : their folder cannot be written to
+    InputError : their folder cannot be written to, or the tile was not fitted
     SessionError : their folder is a link
     LabkitError : no browser is there to print the PDF, or it failed; report.html is written
 
@@ -80,7 +92,7 @@ def write_report(
             "these results lie in no folder: Results.write them first, and load them from there"
         )
     try:
-        drawn, html = _made(results, begin)
+        drawn, html = _made(results, tile or central_tile(results), begin)
     except (ArithmeticError, LookupError, MemoryError, ValueError) as error:
         raise DataError(
             f"no report can be made of {results.folder}, numbers of no lens stand there ({error}): fit the session again"
@@ -102,17 +114,27 @@ def write_report(
 
 
 def _made(
-    results: Results, begin: Callable[[str], None]
+    whole: Results, tile: Tile | None, begin: Callable[[str], None]
 ) -> tuple[dict[str, list[Plate]], str]:
     """Make figures and page. begin: called with each step."""
+    results = of_tile(whole, tile)
     curves = curves_of(results, at_best_focus(results))
-    photographs = photographs_of(
-        results, min((c.focus.photographed for c in curves), key=_defocus)
-    )
-    drawn = draw_figures(Artist(results, curves, photographs), begin)
+    nearest = min((c.focus.photographed for c in curves), key=_defocus)
+    photographs = photographs_of(results, nearest)
+    field = field_artist(whole, nearest)
+    drawn = draw_figures(Artist(results, curves, photographs, field), begin)
     begin("writing the page")
-    words = contents(results, curves, photographs, set(drawn))
-    return drawn, _render(words, drawn, downloads_of(results, curves))
+    words = contents(whole, results, curves, photographs, set(drawn), field)
+    return drawn, _render(words, drawn, downloads_of(whole, results, curves, field))
+
+
+def field_artist(whole: Results, nearest: Wavefront) -> FieldArtist | None:
+    """Return who draws the field; None for results without its model, whose report needs none of its modules."""
+    if whole.field is None:
+        return None
+    from labkit.report.field.plates import FieldArtist
+
+    return FieldArtist(whole.field, channel_inks(whole.channels), whole, nearest)
 
 
 def _defocus(wavefront: Wavefront) -> float:
@@ -197,21 +219,32 @@ class Download:
     what: str
 
 
-def downloads_of(results: Results, curves: Sequence[Curves]) -> list[Download]:
-    """Return the data of all charts at full precision, with standard errors."""
-    raw = json.dumps(results.as_json(), indent=1, allow_nan=False).encode()
+def downloads_of(
+    whole: Results,
+    results: Results,
+    curves: Sequence[Curves],
+    field: FieldArtist | None = None,
+) -> list[Download]:
+    """Return the data of all charts at full precision, with standard errors.
+
+    whole: the session, whose results.json would be most of a page of many tiles; results: the part that the page shows
+    wavefront by wavefront
+    """
+    of_field = () if field is None else field.files()
     return [
-        Download(
-            "results.json",
-            "application/json",
-            raw,
-            "everything, as labkit keeps it, with covariances",
-        ),
+        *([_raw(results)] if results is whole else []),
+        *(_table(*file) for file in of_field),
         _table("zernike.csv", _zernike(results), "coefficients of all ranges and channels"),
         _table("mtf.csv", _mtf(curves), "MTF at best focus"),
         _table("through_focus.csv", _through(curves), "Strehl ratio and MTF through focus"),
         _table("encircled_energy.csv", _energy(curves), "encircled energy at best focus"),
     ]
+
+
+def _raw(results: Results) -> Download:
+    raw = json.dumps(results.as_json(), indent=1, allow_nan=False).encode()
+    what = "everything, as labkit keeps it, with covariances"
+    return Download("results.json", "application/json", raw, what)
 
 
 def _table(name: str, rows: Iterable[Sequence[Cell]], what: str) -> Download:

@@ -14,6 +14,7 @@ import numpy as np
 from labkit.errors import DataError
 from labkit.findings import Finding
 from labkit.key import Key, same_range
+from labkit.optics.field import FieldModel
 from labkit.optics.lens import ThinLens
 from labkit.plan import Plan
 from labkit.results import storage, tables, verdicts
@@ -48,7 +49,8 @@ class Results:
     findings: what to know of the numbers; `warnings` are the texts of those that warn.
     common: numbers of the lens with their joint covariance, for comparison with another session; None without a lens.
     unanswered: what these frames cannot determine though it was to be estimated; findings say it too. made_from: inputs,
-    settings and failed fits; None where an earlier labkit made the results. folder: where it is kept.
+    settings and failed fits; None where an earlier labkit made the results. folder: where it is kept. field: the wavefront over
+    the frame, where the target is a grid; else None.
 
     >>> results = labkit.Results.load("night-3")
     >>> print(results.focus["G"])
@@ -74,6 +76,7 @@ class Results:
     labkit_version: str = __version__
     made_from: MadeFrom | None = None
     folder: Path | None = None
+    field: FieldModel | None = None  # last: it hides dataclasses.field
 
     def __post_init__(self) -> None:
         """Tell every wavefront how broad its light may be."""

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labkit.report.contents import Card, answer
+from labkit.report.cards import Card
+from labkit.report.contents import answer
 from labkit.report.curves import at_best_focus
 from labkit.report.html import write_report
 from labkit.report.photographs import Photographs, place_table

@@ -107,6 +107,7 @@ def test_nothing_is_minus_zero() -> None:
 def test_the_template_and_its_style_are_where_the_package_data_says() -> None:
     templates = Path(__file__).parents[2] / "labkit" / "report" / "templates"
     assert {p.name for p in templates.iterdir()} == {
+        "field.html.j2",
         "figures.html.j2",
         "report.html.j2",
         "report.css",

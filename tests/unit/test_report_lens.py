@@ -50,7 +50,8 @@ def test_what_is_measured_stands_beside_what_the_plan_states(
 )
 def test_what_contradicts_the_plan_is_a_red_check(code: str) -> None:
     (finding,) = (one for one in SAMPLES if one.code == code)
-    page = contents(some_results(findings=(finding,)), [], Photographs(), set())
+    results = some_results(findings=(finding,))
+    page = contents(results, results, [], Photographs(), set())
     assert {"good": False, "text": finding.text} in page["checks"]
 
 

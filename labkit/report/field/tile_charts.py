@@ -1,0 +1,165 @@
+"""Where the tiles were in the photograph, which were left out, and how well the model describes each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from labkit.figure_style import HALF_IN, INK, SOFT_INK
+from labkit.findings import Finding
+from labkit.key import Tile, same_range
+from labkit.optics.field import FieldFrame
+from labkit.report.field.maps import SEQUENTIAL, even_levels, frame_axes
+from labkit.report.photographs import Photographs
+from labkit.report.tiles import mean_place_px
+from labkit.results import Results, Wavefront
+from labkit.types import Floats
+
+FITTED, DOUBTFUL, LEFT_OUT = "#0072b2", "#d55e00", "#a8281c"
+
+
+@dataclass(frozen=True, eq=False)
+class TileSight:
+    """The tiles of one range.
+
+    range_mm: of the photographs; fits: of one channel, by tile; left_out: tiles that the photographs do not show whole, or
+    that no fit was made of, with the reason in words
+    """
+
+    range_mm: float | None
+    fits: Mapping[Tile, Wavefront]
+    left_out: Mapping[Tile, str]
+
+    @property
+    def doubtful(self) -> list[Tile]:
+        """Tiles whose fit contradicts the others, or whose optimum is doubtful."""
+        return [tile for tile, fit in self.fits.items() if fit.test and not fit.accepted]
+
+    def corners_px(self, tile: Tile) -> Floats:
+        """Return the corners (4, 2) of a tile; of one that was left out as its neighbours predict them."""
+        if tile in self.fits:
+            return _corners(self.fits[tile])
+        known = np.array([[1.0, *at] for at in self.fits])
+        corners = np.array([_corners(fit).ravel() for fit in self.fits.values()])
+        terms = np.linalg.lstsq(known, corners, rcond=None)[0]
+        return np.asarray(np.array([1.0, *tile]) @ terms).reshape(4, 2)
+
+
+def _corners(fit: Wavefront) -> Floats:
+    assert fit.placement is not None
+    return np.asarray(fit.placement.corners_px.mean(axis=0))
+
+
+def tile_sight(results: Results, nearest: Wavefront) -> TileSight:
+    """Return the tiles of a wavefront's range and channel."""
+    fits = {
+        w.tile: w
+        for w in results.at_range(nearest.range_mm)
+        if w.channel == nearest.channel and w.tile is not None and w.placement is not None
+    }
+    left_out = dict[Tile, str]()
+    for finding in results.findings:
+        for tile in _tiles_of(finding, nearest.range_mm):
+            if tile not in fits:
+                left_out[tile] = finding.code
+    return TileSight(nearest.range_mm, fits, left_out)
+
+
+def _tiles_of(finding: Finding, range_mm: float | None) -> list[Tile]:
+    """Return the tiles of a range that a finding says were left out."""
+    if finding.code == "tile-left-out" and finding.key is not None:
+        at, tiles = finding.key.range_mm, [finding.key.tile]
+    elif finding.code == "tiles-not-found":
+        at = finding.numbers.get("range_mm")  # type: ignore[assignment]
+        tiles = finding.numbers.get("tiles", [])  # type: ignore[assignment]
+    else:
+        return []
+    return (
+        [(t[0], t[1]) for t in tiles if t is not None] if same_range(at, range_mm) else []
+    )
+
+
+def tiles_chart(frame: FieldFrame, sight: TileSight, photographs: Photographs) -> Figure:
+    """Draw the outlines of the tiles in the photograph, with those left out dashed and crossed."""
+    figure, axes = _pixel_axes(frame, photographs)
+    for tile in sight.fits:
+        doubtful = tile in sight.doubtful
+        _outline(axes, sight.corners_px(tile), DOUBTFUL if doubtful else FITTED, doubtful)
+    for tile in sight.left_out:
+        if sight.fits:
+            corners = sight.corners_px(tile)
+            _outline(axes, corners, LEFT_OUT, bold=False, dashes="--")
+            axes.plot(*corners[[0, 2], ::-1].T, color=LEFT_OUT, lw=0.8)
+            axes.plot(*corners[[1, 3], ::-1].T, color=LEFT_OUT, lw=0.8)
+    _tile_legend(figure, sight)
+    return figure
+
+
+def _outline(
+    axes: Axes, corners: Floats, colour: str, bold: bool, dashes: str = "-"
+) -> None:
+    closed = corners[[0, 1, 2, 3, 0], ::-1]
+    axes.plot(*closed.T, color=colour, lw=2.0 if bold else 1.0, ls=dashes)
+
+
+def _pixel_axes(frame: FieldFrame, photographs: Photographs) -> tuple[Figure, Axes]:
+    """Return the frame in pixels with its photograph."""
+    figure, axes = frame_axes(frame, HALF_IN, below_in=0.32, labelled=False)
+    rows, columns = frame.shape_px
+    axes.set(xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5))
+    if photographs.preview is not None:
+        shown, block = photographs.preview, photographs.preview_px
+        edges = (-0.5, shown.shape[1] * block - 0.5, shown.shape[0] * block - 0.5, -0.5)
+        axes.imshow(shown, cmap="gray", vmin=-0.6, vmax=1.1, extent=edges)
+    return figure, axes
+
+
+def _tile_legend(figure: Figure, sight: TileSight) -> None:
+    kinds = [("measured", FITTED, "-", len(sight.fits) - len(sight.doubtful))]
+    kinds += [("doubtful", DOUBTFUL, "-", len(sight.doubtful))]
+    kinds += [("left out", LEFT_OUT, "--", len(sight.left_out))]
+    figure.legend(
+        handles=[
+            Line2D([], [], color=colour, ls=dashes, label=f"{count} {words}")
+            for words, colour, dashes, count in kinds
+            if count
+        ],
+        loc="lower left",
+        ncols=3,
+        borderpad=0,
+        handlelength=1.6,
+    )
+
+
+def fit_quality_chart(frame: FieldFrame, fits: Sequence[Wavefront], title: str) -> Figure:
+    """Draw the χ² per pixel of each tile at its place."""
+    figure, axes = frame_axes(frame, HALF_IN, title=title, below_in=0.86)
+    places = frame.heights_mm([mean_place_px([fit]) for fit in fits])
+    chi2 = np.array([fit.chi2_per_pixel for fit in fits])
+    levels = even_levels(float(np.nanmin(chi2)), float(np.nanmax(chi2)))
+    shown = axes.scatter(
+        places[:, 1],
+        places[:, 0],
+        c=chi2,
+        cmap=SEQUENTIAL,
+        vmin=levels[0],
+        vmax=levels[-1],
+        s=np.clip(9000 / len(fits), 8, 160),
+        marker="s",
+        edgecolors=[INK if fit.accepted else DOUBTFUL for fit in fits],
+        linewidths=[0.4 if fit.accepted else 1.6 for fit in fits],
+    )
+    height_in = figure.get_size_inches()[1]
+    at = (0.16, 0.3 / height_in, 0.5, 0.08 / height_in)
+    bar = figure.colorbar(shown, cax=figure.add_axes(at), orientation="horizontal")
+    bar.ax.tick_params(labelsize=7, pad=1, length=2, colors=SOFT_INK, labelcolor=INK)
+    bar.ax.text(
+        1.05, 0.5, "χ² per pixel", va="center", fontsize=7.5, transform=bar.ax.transAxes
+    )
+    bar.ax.grid(False)
+    return figure
