@@ -8,8 +8,8 @@ import numpy as np
 from scipy.ndimage import fourier_shift
 from scipy.optimize import minimize
 
-from labkit.drivers.simulated.optics import point_spread, working_f_number
-from labkit.drivers.simulated.world import REFERENCE_NM, TrueLens, Truth
+from labkit.drivers.simulated.optics import REFERENCE_NM, point_spread, working_f_number
+from labkit.drivers.simulated.world import TrueLens, Truth
 from labkit.optics.metrics import psf
 from labkit.results import Results, Wavefront
 from labkit.types import Floats

@@ -21,6 +21,7 @@ from labkit.devices.registry import open_devices
 from labkit.devices.shared import SharedParts
 from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.optics import (
+    REFERENCE_NM,
     defocus_waves,
     entrance_pupil_to_target_mm,
     image_per_tangent_mm,
@@ -28,7 +29,6 @@ from labkit.drivers.simulated.optics import (
 from labkit.drivers.simulated.parts import LowPassFilter, Smear, Spectrum, Veil
 from labkit.drivers.simulated.pupil import Pupil
 from labkit.drivers.simulated.world import (
-    REFERENCE_NM,
     BenchSettings,
     TrueLens,
     TruePanel,

@@ -18,33 +18,16 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from labkit.drivers.simulated.image import MOST_AT_ONCE, colours_of, irradiance, mosaic
 from labkit.drivers.simulated.modes import drawn_modes
-from labkit.drivers.simulated.optics import (
-    defocus_waves,
-    entrance_pupil_to_target_mm,
-    image_per_tangent_mm,
-)
 from labkit.drivers.simulated.parts import Lit
-from labkit.drivers.simulated.scene import (
-    FineGrid,
-    Glass,
-    SceneTransform,
-    carry,
-    photograph,
-    project,
-    render,
-    transform,
-)
-from labkit.drivers.simulated.spread import psf_and_halo, veiled
-from labkit.drivers.simulated.tiles import mosaic_in_tiles
-from labkit.drivers.simulated.world import REFERENCE_NM, BenchSettings, Fault, Truth, Visit
+from labkit.drivers.simulated.scene import Glass
+from labkit.drivers.simulated.view import Aim, View, per_tangent_mm
+from labkit.drivers.simulated.world import BenchSettings, Fault, Truth, Visit
 from labkit.types import Floats, Floats32
 
-MOST_AT_ONCE = 640
-"""Side of a sensor that is rendered all at once, in 2 GB; a larger one is rendered in tiles: 2288 × 2288 pixels in 1.0 GB."""
-
 STRIP_ROWS = 640
-"""Of a larger one, noise and even light are drawn in strips."""
+"""Noise and even light of a larger sensor are drawn in strips."""
 
 KEPT_PICTURES = 4
 """White, black and the target at one stop are shown in turn; more than these need not be kept."""
@@ -70,7 +53,7 @@ class Bench:
         self._homings = 0
         self._homing_mm = 0.0
         self._scatter_mm = 0.0
-        self._wander_px = (0.0, 0.0)
+        self._wander_px = (0.0, 0.0)  # down, right
         self._asked_mm = 0.0
         self._visits: dict[float, Visit] = {}
         self._codes = np.zeros(settings.panel.pixels, dtype=np.int16)
@@ -188,6 +171,7 @@ class Bench:
             counts_per_electron=sensor.counts_per_electron,
             read_noise_counts=sensor.read_noise_electrons * sensor.counts_per_electron,
             visits=tuple(self._visits.values()),
+            field_terms=lens.field_terms.numbers() if self.settings.varies else {},
         )
 
     def irradiance(
@@ -196,7 +180,12 @@ class Bench:
         """Return the (rows, cols) blurred image of the glass in one colour at every pixel, white = 1;
         noiseless.
         """
-        return self._photograph(colour, self._scene(*self._look(colour), samples, halo_um))
+        return irradiance(self.view, self._glass, colour, samples, halo_um)
+
+    @property
+    def view(self) -> View:
+        """The camera's view from the present station."""
+        return View(self.settings, self._modes, self._aim, self.range_mm, self._wander_px)
 
     def _draw(self) -> None:
         """Draw the constant properties of the bench."""
@@ -205,12 +194,13 @@ class Bench:
         pose = self.settings.pose
         rng = self._generator("fixed")
         self._modes = drawn_modes(lens, rng, self._generator("higher modes"))
-        self._tilt_deg = (
+        tilt_deg = (
             rng.uniform(-1, 1) * pose.tilt_deg,
             rng.uniform(-1, 1) * pose.tilt_deg,
         )
-        self._roll_deg = rng.choice((-1, 1)) * rng.uniform(0.5, 1) * pose.roll_deg
-        self._offset_px = tuple(rng.uniform(-pose.offset_px, pose.offset_px, 2))
+        roll_deg = rng.choice((-1, 1)) * rng.uniform(0.5, 1) * pose.roll_deg
+        right_px, down_px = rng.uniform(-pose.offset_px, pose.offset_px, 2)
+        self._aim = Aim(tilt_deg, roll_deg, (right_px, down_px))
         self._waves = (
             rng.uniform(0.3, 1.5, (5, 2)) * rng.choice((-1, 1), (5, 2)),
             rng.uniform(0, 2 * np.pi, 5),
@@ -240,20 +230,8 @@ class Bench:
             [self.settings.seed, zlib.crc32("/".join(purpose).encode())]
         )
 
-    def _colours(self) -> NDArray[np.str_]:
-        """Return (rows, cols) name of each pixel's colour."""
-        sensor = self.settings.sensor
-        if sensor.pattern == "mono":
-            return np.full(
-                (sensor.rows, sensor.cols), next(iter(self.settings.lens.wavelength_nm))
-            )
-        cell = np.array(list(sensor.pattern)).reshape(2, 2)
-        return np.tile(cell, (sensor.rows // 2 + 1, sensor.cols // 2 + 1))[
-            : sensor.rows, : sensor.cols
-        ]
-
     def _colour_map(self) -> Floats:
-        colours = self._colours()
+        colours = colours_of(self.settings)
         shares = np.ones(colours.shape)
         for colour, share in self.settings.sensor.colour_response.items():
             shares[colours == colour] = share
@@ -264,7 +242,13 @@ class Bench:
         rows, cols = self.settings.sensor.rows, self.settings.sensor.cols
         y = np.linspace(-1, 1, rows)[:, None] - 0.06
         x = np.linspace(-1, 1, cols)[None, :] + 0.04
-        return 1 - self.settings.lens.vignetting * (x * x + y * y) / 2
+        lens = self.settings.lens
+        pitch_mm = self.settings.sensor.pitch_um * 1e-3
+        even = 1 - lens.vignetting * (x * x + y * y) / 2
+        of_field = lens.field_terms.light(
+            (rows, cols), pitch_mm, lens.pupil, per_tangent_mm(lens)
+        )
+        return np.asarray(even * of_field)
 
     def _unevenness(self, x_mm: Floats, y_mm: Floats) -> Floats:
         """Return the relative brightness of the panel's places, about 1: five slow waves across the glass."""
@@ -286,62 +270,8 @@ class Bench:
         )
         return lit.astype(np.float32)[codes]
 
-    def _lateral(self, colour: str) -> float:
-        """Return the relative size of a colour's image."""
-        return 1 + self.settings.lens.lateral_colour.get(colour, 0.0)
-
-    def _look(self, colour: str) -> tuple[float, Lit | None]:
-        """Return the properties of a colour's scene: its size, and the lit part of the panel's pixels."""
-        return self._lateral(colour), self.settings.panel.lit(colour)
-
-    def _to_pixels(self, lateral: float = 1.0) -> Floats:
-        """Return the (3, 3) map from panel mm to pixels by the true pose here: perspective from the entrance
-        pupil.
-        """
-        lens = self.settings.lens
-        sensor = self.settings.sensor
-        focal_mm = lens.focal_length_mm
-        pupils = lens.pupil_magnification
-        tangent_px = (
-            lateral
-            * image_per_tangent_mm(lens.focused_mm, focal_mm, pupils)
-            / (sensor.pitch_um * 1e-3)
-        )
-        col = (sensor.cols - 1) / 2 + self._wander_px[1]
-        row = (sensor.rows - 1) / 2 + self._wander_px[0]
-        camera = np.array([[tangent_px, 0, col], [0, tangent_px, row], [0, 0, 1]])
-        away_mm = entrance_pupil_to_target_mm(self.range_mm, focal_mm, pupils)
-        aside = away_mm * lateral / tangent_px
-        shift = (self._offset_px[0] * aside, self._offset_px[1] * aside)
-        return camera @ project(self._tilt_deg, self._roll_deg, shift, away_mm)
-
-    def _from_pixels(self) -> Floats:
-        return np.asarray(np.linalg.inv(self._to_pixels()), dtype=np.float64)
-
-    def _grid(self, samples: int | None, halo_um: float | None) -> FineGrid:
-        lens = self.settings.lens
-        sensor = self.settings.sensor
-        nyquist_um = lens.shortest_nm * 1e-3 * lens.outer_f_number / 2
-        per_pixel = samples or max(
-            self.settings.samples_per_pixel,
-            int(np.ceil(1.02 * sensor.pitch_um / nyquist_um)),
-        )
-        reach = (
-            int(np.ceil((halo_um or self.settings.halo_um) / sensor.pitch_um)) * per_pixel
-        )
-        return FineGrid(sensor.rows, sensor.cols, per_pixel, reach)
-
-    def _scene(
-        self,
-        lateral: float,
-        lit: Lit | None,
-        samples: int | None = None,
-        halo_um: float | None = None,
-    ) -> SceneTransform:
-        grid = self._grid(samples, halo_um)
-        return transform(render(self._glass(lit), self._to_pixels(lateral), grid), grid)
-
     def _glass(self, lit: Lit | None) -> Glass:
+        """Return what the panel shows through a part of its pixels."""
         return Glass(
             self._codes,
             self._radiance(self._codes) * self._evenness,
@@ -349,108 +279,43 @@ class Bench:
             lit,
         )
 
-    def _photograph(self, colour: str, scene: SceneTransform) -> Floats32:
-        """Return a scene through the lens in one colour, with all of its light."""
-        psf, halo = psf_and_halo(self.settings, colour, self._waves_in(colour), scene.grid)
-        total = psf.sum(dtype=float) + halo.sum(
-            dtype=float
-        )  # what lands farther than the frame is wide is no loss
-        seen = photograph(scene, psf, self.settings.sensor.fill_factor, halo) / np.float32(
-            total
-        )
-        return veiled(seen, scene, self.settings.lens.veil)
-
-    def _waves_in(self, colour: str) -> dict[int, float]:
-        return {4: self._defocus(colour), **self._modes[colour]}
-
-    def _defocus(self, colour: str) -> float:
-        lens = self.settings.lens
-        return defocus_waves(
-            self.range_mm,
-            lens.best_focus_mm[colour],
-            lens.focal_length_in(colour),
-            lens.f_number_in(colour),
-            lens.pupil_magnification,
-            REFERENCE_NM,
-        )
-
     def _picture(self) -> Floats32:
         """Return (rows, cols) radiance in each pixel through its own colour, white = 1; the latest few are
         kept.
         """
-        key = self._to_pixels().tobytes() + hashlib.sha256(self._codes.tobytes()).digest()
+        key = (
+            self.view.to_pixels().tobytes() + hashlib.sha256(self._codes.tobytes()).digest()
+        )
         if key not in self._seen:
             self._seen = dict(list(self._seen.items())[-KEPT_PICTURES + 1 :])
-            if not self._fills_the_view():
+            even = self._fills_the_view()
+            if not even:
                 self._note_visit()
-                self._seen[key] = self._mosaic()
-            elif self.settings.panel.layout == "none":
+            # whoever sees a panel's own pixels sees them in white too
+            if even and self.settings.panel.layout == "none":
                 self._seen[key] = self._uniform()
             else:
-                self._seen[key] = (
-                    self._mosaic()
-                )  # whoever sees a panel's own pixels sees them in white too
+                self._seen[key] = self._mosaic()
         return self._seen[key]
 
     def _mosaic(self) -> Floats32:
         """Return the radiance in each pixel through its own colour."""
-        sensor = self.settings.sensor
-        if max(sensor.rows, sensor.cols) > MOST_AT_ONCE:
-            return self._mosaic_in_tiles()
-        colours = self._colours()
-        scenes = dict[tuple[float, Lit | None], SceneTransform]()
-        seen = np.zeros(colours.shape, dtype=np.float32)
-        for colour in np.unique(colours):
-            here = colours == colour
-            look = self._look(str(colour))
-            scene = scenes[look] = scenes.get(look) or self._scene(*look)
-            seen[here] = self._photograph(str(colour), scene)[here]
-        return seen
-
-    def _mosaic_in_tiles(self) -> Floats32:
-        colours = self._colours()
-        grid = self._grid(None, None)
-        spreads = {}
-        for colour in np.unique(colours):
-            psf, halo = psf_and_halo(
-                self.settings, str(colour), self._waves_in(str(colour)), grid
-            )
-            total = np.float32(psf.sum(dtype=float) + halo.sum(dtype=float))
-            spreads[str(colour)] = psf / total, halo / total
-        glass = {colour: self._glass(self._look(colour)[1]) for colour in spreads}
-        latest: dict[
-            tuple[object, ...], SceneTransform
-        ] = {}  # colours of one look share a tile's scene
-
-        def draw(colour: str, here: FineGrid) -> SceneTransform:
-            key = (self._look(colour), here)
-            if key not in latest:
-                latest.clear()
-                latest[key] = transform(
-                    render(glass[colour], self._to_pixels(self._lateral(colour)), here),
-                    here,
-                )
-            return latest[key]
-
-        seen, whole = mosaic_in_tiles(
-            colours, grid, draw, spreads, self.settings.sensor.fill_factor
-        )
-        if self.settings.lens.veil.fraction:
-            for colour, scene in whole.items():
-                mine = colours == colour
-                seen[mine] = veiled(seen, scene, self.settings.lens.veil)[mine]
-        return seen
+        return mosaic(self.view, self._glass, colours_of(self.settings))
 
     def _note_visit(self) -> None:
         """Record the truth of this station."""
         rail = self.settings.rail
         asked_mm = rail.range_at_zero_mm + rail.direction * self._asked_mm
+        view = self.view
         defocus = {
-            colour: self._defocus(colour) for colour in self.settings.lens.wavelength_nm
+            colour: view.defocus(colour) for colour in self.settings.lens.wavelength_nm
         }
-        pose = tuple(tuple(row) for row in self._to_pixels().tolist())
+        pose = tuple(tuple(row) for row in view.to_pixels().tolist())
+        tiles = view.tiles() if self.settings.varies else ()
         zero_mm = rail.tape_error_mm + rail.direction * self._homing_mm
-        self._visits[asked_mm] = Visit(asked_mm, self.range_mm, zero_mm, defocus, pose)
+        self._visits[asked_mm] = Visit(
+            asked_mm, self.range_mm, zero_mm, defocus, pose, tiles
+        )
 
     def _fills_the_view(self) -> bool:
         """Return whether the glass is one grey and reaches beyond the camera's view, halo included."""
@@ -459,7 +324,7 @@ class Bench:
         rows, cols = self.settings.sensor.rows, self.settings.sensor.cols
         rim = self.settings.halo_um / self.settings.sensor.pitch_um + 1
         x, y = np.array([-rim, cols + rim])[None, :], np.array([-rim, rows + rim])[:, None]
-        right, down = carry(self._from_pixels(), x, y)
+        right, down = self.view.on_panel(x, y)
         high, wide = (
             n * self.settings.panel.pitch_mm / 2 for n in self.settings.panel.pixels
         )
@@ -469,10 +334,11 @@ class Bench:
         """Return the image of a panel in one grey: only its unevenness, which blur does not change."""
         rows, cols = self.settings.sensor.rows, self.settings.sensor.cols
         level = self._radiance(self._codes[:1, :1])[0, 0]
+        view = self.view
         seen = np.empty((rows, cols), dtype=np.float32)
         for top in range(0, rows, STRIP_ROWS):
             down = np.arange(float(top), float(min(top + STRIP_ROWS, rows)))[:, None]
-            x_mm, y_mm = carry(self._from_pixels(), np.arange(float(cols))[None, :], down)
+            x_mm, y_mm = view.on_panel(np.arange(float(cols))[None, :], down)
             seen[top : top + STRIP_ROWS] = level * self._unevenness(x_mm, y_mm)
         return seen
 

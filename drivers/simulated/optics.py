@@ -21,6 +21,9 @@ from numpy.polynomial.polynomial import polyval
 from labkit.drivers.simulated.pupil import RIM_REACH, ROUND_PUPIL, Pupil
 from labkit.types import Floats, Floats32
 
+REFERENCE_NM = 450.0
+"""Wavelength in whose waves the bench counts optical paths."""
+
 
 def noll_to_nm(j: int) -> tuple[int, int]:
     """Return radial order n and azimuthal order m of Noll's mode j; m < 0 for the sine modes.
@@ -87,7 +90,7 @@ def defocus_waves(
     focal_length_mm: float,
     f_number: float,
     pupil_magnification: float,
-    reference_nm: float = 450.0,
+    reference_nm: float = REFERENCE_NM,
 ) -> float:
     """Return the defocus (Noll 4, waves RMS at reference_nm) of a target at range_mm; positive beyond best
     focus.
@@ -169,7 +172,7 @@ def point_spread(
     f_number: float,
     spacing_um: float,
     reach: int,
-    reference_nm: float = 450.0,
+    reference_nm: float = REFERENCE_NM,
     pupil: Pupil = ROUND_PUPIL,
 ) -> Floats32:
     """Return the lens's PSF on a grid of spacing_um: (2 reach + 1, 2 reach + 1), centred, shares of all light.

@@ -11,7 +11,9 @@ Written without labkit.optics and labkit.imaging, which it tests.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TypeVar
 
 import numpy as np
@@ -19,9 +21,10 @@ import scipy.fft
 import scipy.signal
 from numpy.typing import NDArray
 
-from labkit.drivers.simulated.parts import Lit
+from labkit.drivers.simulated.parts import Lit, Sides
 from labkit.types import Floats, Floats32
 
+Complexes32 = NDArray[np.complex64]
 Value = TypeVar("Value", np.int16, np.float32)
 
 OUTSIDE = -1
@@ -101,11 +104,19 @@ def carry(matrix: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats]:
     return right, down
 
 
-def render(glass: Glass, panel_to_pixels: Floats, grid: FineGrid) -> Floats32:
+Straight = Callable[[Floats, Floats], tuple[Floats, Floats]]
+"""Returns the places of pixels, x right and y down, that a lens without distortion would give them."""
+
+
+def render(
+    glass: Glass, panel_to_pixels: Floats, grid: FineGrid, straight: Straight | None = None
+) -> Floats32:
     """Return the mean radiance over each fine sample's square: (rows * samples + 2 reach, cols * samples + 2
     reach).
 
-    panel_to_pixels: (3, 3), panel mm (x, y, 1) to pixels (column, row, 1).
+    panel_to_pixels: (3, 3), panel mm (x, y, 1) to pixels (column, row, 1), of a lens
+    without distortion; straight: undoes distortion, None without any. A sample's square is
+    a parallelogram on the panel.
     """
     rows, cols = glass.codes.shape
     to_index = np.array(
@@ -121,56 +132,55 @@ def render(glass: Glass, panel_to_pixels: Floats, grid: FineGrid) -> Floats32:
     x_corner = np.append(x - half, x[-1] + half)[None, :]
     for start in range(0, y.size, ROWS_AT_ONCE):
         y_here = y[start : start + ROWS_AT_ONCE]
-        corner = _look_up(
-            codes, to_panel, x_corner, np.append(y_here - half, y_here[-1] + half)[:, None]
-        )
+        y_corner = np.append(y_here - half, y_here[-1] + half)[:, None]
+        ideal = straight(x_corner, y_corner) if straight else (x_corner, y_corner)
+        right, down = carry(to_panel, *ideal)
+        corner = _look_up(codes, right, down)
         edge = (corner[:-1, :-1] != corner[1:, 1:]) | (corner[:-1, 1:] != corner[1:, :-1])
         edge |= corner[:-1, :-1] != corner[:-1, 1:]
-        block = _look_up(radiance, to_panel, x[None, :], y_here[:, None])
+        across = _parallelograms(right)
+        along = _parallelograms(down)
+        block = _look_up(radiance, across[0], along[0])
         i, j = np.nonzero(edge)
         dx, dy = _lattice(i + start + grid.top * grid.samples, j + grid.left * grid.samples)
-        points = _look_up(
-            radiance, to_panel, x[j, None] + dx * 2 * half, y_here[i, None] + dy * 2 * half
-        )
+        point_right = _within(across, i, j, dx, dy)
+        point_down = _within(along, i, j, dx, dy)
+        points = _look_up(radiance, point_right[0], point_down[0])
         if glass.lit is not None:
-            block *= _brightness(glass.lit, to_panel, x[None, :], y_here[:, None], 2 * half)
-            apart = 2 * half / np.sqrt(POINTS_PER_EDGE_SAMPLE)
-            points *= _brightness(
-                glass.lit,
-                to_panel,
-                x[j, None] + dx * 2 * half,
-                y_here[i, None] + dy * 2 * half,
-                apart,
-            )
+            block *= glass.lit.brightness(across, along).astype(np.float32)
+            points *= glass.lit.brightness(point_right, point_down).astype(np.float32)
         block[i, j] = points.mean(axis=1)
         scene[start : start + ROWS_AT_ONCE] = block
     return scene
 
 
-def _look_up(
-    table: NDArray[Value], to_panel: Floats, x: Floats, y: Floats
-) -> NDArray[Value]:
-    """Return the table's values at the pixels (x, y)."""
-    right, down = carry(to_panel, x, y)
+def _look_up(table: NDArray[Value], right: Floats, down: Floats) -> NDArray[Value]:
+    """Return the table's values at places in it."""
     col = np.clip(right, 0, table.shape[1] - 1).astype(np.intp)
     row = np.clip(down, 0, table.shape[0] - 1).astype(np.intp)
     seen: NDArray[Value] = table.ravel()[row * table.shape[1] + col]
     return seen
 
 
-def _brightness(lit: Lit, to_panel: Floats, x: Floats, y: Floats, side: float) -> Floats32:
-    """Return the light of panel pixels' lit parts in squares of a side about (x, y); a whole pixel's light is
-    1.
-    """
-    middle = carry(to_panel, x, y)
-    ends = [
-        carry(to_panel, x + dx, y + dy)
-        for dx, dy in ((-side / 2, 0), (side / 2, 0), (0, -side / 2), (0, side / 2))
-    ]
-    right, down = (
-        (middle[k], ends[1][k] - ends[0][k], ends[3][k] - ends[2][k]) for k in (0, 1)
+def _parallelograms(corner: Floats) -> Sides:
+    """Return middle and two sides, along one direction of the panel, of the squares between corners."""
+    left, right = corner[:, :-1], corner[:, 1:]
+    across = right - left
+    down = corner[1:] - corner[:-1]
+    return (
+        (left[:-1] + left[1:] + right[:-1] + right[1:]) / 4,
+        (across[:-1] + across[1:]) / 2,
+        (down[:, :-1] + down[:, 1:]) / 2,
     )
-    return lit.brightness(right, down).astype(np.float32)
+
+
+def _within(
+    sides: Sides, i: NDArray[np.intp], j: NDArray[np.intp], dx: Floats, dy: Floats
+) -> Sides:
+    """Return points within some squares, each with its own share of the square around."""
+    middle, across, down = (part[i, j, None] for part in sides)
+    apart = np.sqrt(POINTS_PER_EDGE_SAMPLE)
+    return middle + dx * across + dy * down, across / apart, down / apart
 
 
 def _lattice(i: NDArray[np.intp], j: NDArray[np.intp]) -> tuple[Floats, Floats]:
@@ -191,7 +201,7 @@ class SceneTransform:
     included.
     """
 
-    transform: NDArray[np.complex64]
+    transform: Complexes32
     size: tuple[int, int]
     grid: FineGrid
     pixels: Floats32
@@ -207,8 +217,9 @@ def transform(scene: Floats32, grid: FineGrid) -> SceneTransform:
         )
     rows, cols = (side // grid.samples for side in scene.shape)
     pixels = scene.reshape(rows, grid.samples, cols, grid.samples).mean(axis=(1, 3))
+    # of whole pixels along the first axis, where `photograph` folds the spectrum
     size = (
-        scipy.fft.next_fast_len(scene.shape[0], True),
+        grid.samples * scipy.fft.next_fast_len(rows),
         scipy.fft.next_fast_len(scene.shape[1], True),
     )
     return SceneTransform(scipy.fft.rfft2(scene, size, workers=2), size, grid, pixels)
@@ -227,20 +238,30 @@ def photograph(
     pixel; beyond the rim the scene continues with its border values.
     """
     grid = scene.grid
-    blurred = scipy.fft.rfft2(psf, scene.size, workers=2)
-    blurred *= scene.transform
-    whole = scipy.fft.irfft2(blurred, scene.size, workers=2, overwrite_x=True)
-    # the first pixel's first sample sees the rim on its left, and the kernel's own centre lies reach further
-    inner = slice(2 * grid.reach, None)
-    fine = whole[inner, inner][: grid.rows * grid.samples, : grid.cols * grid.samples]
     weights = _active(grid.samples, fill_factor)
-    squares = fine.reshape(grid.rows, grid.samples, grid.cols, grid.samples)
-    pixels: Floats32 = np.einsum(
-        "isjt,s,t->ij", squares, weights, weights, optimize=True
-    ).astype(np.float32)
+    # the first pixel's first sample sees the rim on its left, and the kernel's own centre lies reach further
+    first = 2 * grid.reach
+    rows = scipy.fft.rfft(psf, scene.size[1], axis=1, workers=2)
+    blurred = scipy.fft.fft(rows, scene.size[0], axis=0, workers=2, overwrite_x=True)
+    blurred *= scene.transform
+    blurred *= _summed_spectrum(scene.size[0], first, tuple(weights))[:, None]
+    folded = blurred.reshape(grid.samples, -1, blurred.shape[1]).sum(axis=0)
+    summed = scipy.fft.ifft(folded, axis=0, workers=2, overwrite_x=True)[: grid.rows]
+    fine = scipy.fft.irfft(summed, scene.size[1], axis=1, workers=2)
+    squares = fine[:, first : first + grid.cols * grid.samples]
+    squares = squares.reshape(grid.rows, grid.cols, grid.samples)
+    pixels: Floats32 = (squares @ weights).astype(np.float32)
     if halo is not None:
         pixels += from_pixel_to_pixel(scene, halo)
     return pixels
+
+
+@lru_cache(maxsize=16)
+def _summed_spectrum(size: int, first: int, weights: tuple[float, ...]) -> Complexes32:
+    """Return the transfer function that moves sample `first` to 0 and sums the samples of a pixel, over their number."""
+    places = first + np.arange(len(weights))
+    turn = np.exp(2j * np.pi * (np.arange(size)[:, None] * places % size) / size)
+    return np.asarray(turn @ weights / len(weights), dtype=np.complex64)
 
 
 def from_pixel_to_pixel(scene: SceneTransform, kernel: Floats32) -> Floats32:

@@ -12,9 +12,12 @@ import numpy as np
 from labkit.devices.context import DeviceContext
 from labkit.devices.shared import Lease
 from labkit.drivers.simulated.address import ordered
-from labkit.drivers.simulated.bench import MOST_AT_ONCE, Bench
+from labkit.drivers.simulated.bench import Bench
+from labkit.drivers.simulated.image import MOST_AT_ONCE
+from labkit.drivers.simulated.view import refuse_wild
 from labkit.drivers.simulated.world import (
     BenchSettings,
+    TrueGrid,
     TrueLens,
     TruePanel,
     TrueRail,
@@ -23,7 +26,7 @@ from labkit.drivers.simulated.world import (
 from labkit.errors import PlanError
 from labkit.pace import in_words
 from labkit.panel.panels import paper_panel, plan_panel
-from labkit.plan import Plan, RailSettings
+from labkit.plan import Plan, RailSettings, TargetSpec
 from labkit.target_grid import whole_target
 
 FEWEST_SAMPLES, NEAR_HALO_UM = 4, 200.0
@@ -98,7 +101,12 @@ def settings_for(plan: Plan, seed: int) -> BenchSettings:
     )
     panel = TruePanel(pixels=glass.pixels, pitch_mm=glass.pitch_mm, gamma=glass.gamma)
     settings = BenchSettings(
-        seed=seed, lens=lens, sensor=sensor, panel=panel, rail=_rail(plan.rail)
+        seed=seed,
+        lens=lens,
+        sensor=sensor,
+        panel=panel,
+        rail=_rail(plan.rail),
+        grid=_grid(plan.target),
     )
     if max(rows, cols) > MOST_AT_ONCE:
         settings = replace(
@@ -112,7 +120,12 @@ def settings_for(plan: Plan, seed: int) -> BenchSettings:
 def _bench(address: str, plan: Plan, warn: Callable[[str], None]) -> Bench:
     orders = ordered(address)
     settings = settings_for(plan, orders.seed)
-    settings = replace(settings, lens=orders.made(settings.lens))
+    lens = orders.made(settings.lens)
+    try:
+        settings = replace(settings, lens=lens, patch_px=orders.patch_px)
+        refuse_wild(settings)
+    except ValueError as error:
+        raise PlanError(f'address "{address}": {error}') from error
     rows, cols = settings.sensor.rows, settings.sensor.cols
     if max(rows, cols) > MOST_AT_ONCE:
         wait = in_words(rows * cols / 1e6 * S_PER_MEGAPIXEL)
@@ -120,6 +133,13 @@ def _bench(address: str, plan: Plan, warn: Callable[[str], None]) -> Bench:
             f"the simulated camera has {rows} × {cols} pixels, which hold the target: each new picture takes about {wait}"
         )
     return Bench(settings, orders.faults)
+
+
+def _grid(target: TargetSpec) -> TrueGrid:
+    """Return the places of a plan's targets on the panel."""
+    if not target.of_many or target.grid is None or target.pitch_mm is None:
+        return TrueGrid()
+    return TrueGrid(target.grid, target.pitch_mm)
 
 
 def _sensor_size(plan: Plan, nearest_mm: float) -> tuple[int, int]:

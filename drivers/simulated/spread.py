@@ -18,10 +18,15 @@ from functools import lru_cache
 import numpy as np
 import scipy.signal
 
-from labkit.drivers.simulated.optics import halo_beyond, point_spread, working_f_number
+from labkit.drivers.simulated.optics import (
+    REFERENCE_NM,
+    halo_beyond,
+    point_spread,
+    working_f_number,
+)
 from labkit.drivers.simulated.parts import LowPassFilter, Smear, Veil
 from labkit.drivers.simulated.scene import FineGrid, SceneTransform, from_pixel_to_pixel
-from labkit.drivers.simulated.world import REFERENCE_NM, BenchSettings
+from labkit.drivers.simulated.world import BenchSettings, TrueLens
 from labkit.types import Floats, Floats32
 
 SINC_REACH, SINC_BETA = 32, 9.0
@@ -46,29 +51,52 @@ def psf_and_halo(
     """
     lens = settings.lens
     sensor = settings.sensor
-    f_number = lens.f_number_in(colour)
-    focal_mm = lens.focal_length_in(colour)
-    cone = working_f_number(
-        f_number, lens.best_focus_mm[colour], focal_mm, lens.pupil_magnification
+    # the halo grows as the wavelength does: a mean of halos is that of the mean wavelength
+    mean_nm = sum(nm * share for nm, share in lens.lines_in(colour))
+    halo = halo_beyond(
+        mean_nm,
+        _cone(lens, colour),
+        sensor.pitch_um / grid.samples,
+        grid.reach,
+        grid.samples,
+        min(max(sensor.rows, sensor.cols), FARTHEST_PX),
+        lens.pupil.rim,
     )
-    spacing_um = sensor.pitch_um / grid.samples
-    lines = lens.lines_in(colour)
+    return near_psf(settings, colour, waves, grid), halo
+
+
+def near_psf(
+    settings: BenchSettings, colour: str, waves: Mapping[int, float], grid: FineGrid
+) -> Floats32:
+    """Return a colour's PSF on the fine samples alone, as `psf_and_halo`."""
+    lens = settings.lens
+    sensor = settings.sensor
     psf: Floats32 = np.zeros(2 * (2 * grid.reach + 1,), dtype=np.float32)
-    for nm, share in lines:
+    for nm, share in lens.lines_in(colour):
         here = {**waves, 4: waves.get(4, 0.0) + lens.defocus_within(colour, nm)}
         psf += np.float32(share) * point_spread(
-            here, nm, cone, spacing_um, grid.reach, REFERENCE_NM, lens.pupil
+            here,
+            nm,
+            _cone(lens, colour),
+            sensor.pitch_um / grid.samples,
+            grid.reach,
+            REFERENCE_NM,
+            lens.pupil,
         )
-    # the halo grows as the wavelength does: a mean of halos is that of the mean wavelength
-    mean_nm = sum(nm * share for nm, share in lines)
-    pixels = min(max(sensor.rows, sensor.cols), FARTHEST_PX)
-    halo = halo_beyond(
-        mean_nm, cone, spacing_um, grid.reach, grid.samples, pixels, lens.pupil.rim
-    )
     kernel = aside(sensor.low_pass, sensor.diffusion_px, settings.rail.smear, grid.samples)
     if kernel.size > 1:
         psf = scipy.signal.fftconvolve(psf, kernel, mode="same").astype(np.float32)
-    return psf, halo
+    return psf
+
+
+def _cone(lens: TrueLens, colour: str) -> float:
+    """Return the f-number of a colour's cone at the sensor."""
+    return working_f_number(
+        lens.f_number_in(colour),
+        lens.best_focus_mm[colour],
+        lens.focal_length_in(colour),
+        lens.pupil_magnification,
+    )
 
 
 @lru_cache(maxsize=8)

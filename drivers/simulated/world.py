@@ -7,13 +7,16 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
+from labkit.drivers.simulated.field import FieldTerms
+from labkit.drivers.simulated.optics import REFERENCE_NM
 from labkit.drivers.simulated.parts import Lit, LowPassFilter, Smear, Spectrum, Veil
 from labkit.drivers.simulated.pupil import ROUND_PUPIL, Pupil
-
-REFERENCE_NM = 450.0
-"""Wavelength in whose waves the truth counts optical paths."""
+from labkit.types import Floats
 
 FIXED_MODES = tuple(range(5, 16))
 """Noll's modes of the lens's fixed aberration; defocus, 4, comes from the range."""
@@ -21,6 +24,7 @@ FIXED_MODES = tuple(range(5, 16))
 HIGHER_MODES = tuple(range(16, 37))
 """Noll's modes of radial orders 5 to 7, of which a lens as it is made has a little."""
 
+LEAST_PATCH_PX = 8.0
 MOST_STATED_NOLL = 45
 MOST_STATED_WAVES = 2.0
 
@@ -63,6 +67,8 @@ class TrueLens:
     """Spectra of colours with more than one wavelength."""
     veil: Veil = field(default_factory=Veil)
     """Stray light, as vignetted as all light is."""
+    field_terms: FieldTerms = field(default_factory=FieldTerms)
+    """What changes over the frame."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.higher_waves <= MOST_STATED_WAVES:
@@ -226,6 +232,30 @@ class TruePose:
 
 
 @dataclass(frozen=True, slots=True)
+class TrueGrid:
+    """The grid of equal targets on the panel, (rows, columns) and the distance of their centres; one by default."""
+
+    shape: tuple[int, int] = (1, 1)
+    pitch_mm: float = 1.0
+
+    def centre_mm(self, tile: tuple[int, int]) -> tuple[float, float]:
+        """Return the centre of a tile on the panel, right and down."""
+        down, right = (
+            (at - (count - 1) / 2) * self.pitch_mm
+            for at, count in zip(tile, self.shape, strict=True)
+        )
+        return right, down
+
+    def nearest(self, right_mm: Floats, down_mm: Floats) -> NDArray[np.int16]:
+        """Return the number, row by row, of the tile nearest to each place of the panel."""
+        row, col = (
+            np.clip(np.floor(at / self.pitch_mm + count / 2), 0, count - 1)
+            for at, count in zip((down_mm, right_mm), self.shape, strict=True)
+        )
+        return np.asarray(row * self.shape[1] + col, dtype=np.int16)
+
+
+@dataclass(frozen=True, slots=True)
 class BenchSettings:
     """All chosen settings of the simulated world; the seed draws the rest."""
 
@@ -239,6 +269,20 @@ class BenchSettings:
     """Radius up to which diffraction is followed ring by ring; beyond, the mean of rings is used."""
     samples_per_pixel: int = 10
     """Least number of samples; a fast lens gets as many as its diffraction needs."""
+    grid: TrueGrid = field(default_factory=TrueGrid)
+    patch_px: float = 0.0
+    """Side of a patch over which PSFs are interpolated; 0: one PSF for each tile of the grid."""
+
+    def __post_init__(self) -> None:
+        if self.patch_px and not self.patch_px >= LEAST_PATCH_PX:
+            raise ValueError(
+                f"PSFs are interpolated over {LEAST_PATCH_PX:g} pixels or more (0: one for each tile), not {self.patch_px:g}"
+            )
+
+    @property
+    def varies(self) -> bool:
+        """Whether the PSF changes over the frame."""
+        return self.lens.field_terms.varies or self.grid.shape != (1, 1)
 
 
 FAULTS = {
@@ -265,13 +309,28 @@ class Fault:
 
 
 @dataclass(frozen=True, slots=True)
+class TrueTile:
+    """The truth of one tile of the target's grid, (row, column), in one colour.
+
+    centre_px: (row, column) of its centre in the frame; modes_waves: {Noll: waves RMS at
+    450 nm} there, with defocus.
+    """
+
+    tile: tuple[int, int]
+    channel: str
+    centre_px: tuple[float, float]
+    modes_waves: Mapping[int, float]
+
+
+@dataclass(frozen=True, slots=True)
 class Visit:
     """The truth of one station: requested range, true range, defocus in waves RMS per colour.
 
     range_mm: on the plan's scale; actual_range_mm: from the front principal plane;
     range_zero_mm: the true range less encoder and tape, the same until the rail is homed
     again. target_to_pixels: (3, 3) panel mm (x right, y down from the centre, 1) to pixels
-    (column, row, 1), without lateral colour.
+    (column, row, 1), without lateral colour and distortion. tiles: where the PSF changes
+    over the frame.
     """
 
     range_mm: float
@@ -279,6 +338,7 @@ class Visit:
     range_zero_mm: float
     defocus_waves: Mapping[str, float]
     target_to_pixels: tuple[tuple[float, ...], ...]
+    tiles: tuple[TrueTile, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -288,7 +348,8 @@ class Truth:
     best_focus_mm: on the plan's scale, as measured by tape; range_zero_mm: the true range
     less the tape's. f_number: by clear area on the axis, and modes over this circle;
     outer_f_number: of the circle round the pupil; clear_share: share of this area that a
-    cat's eye leaves.
+    cat's eye leaves. modes_waves: without those that change over the frame, whose numbers
+    `field_terms` has by the names of `FieldTerms`.
     """
 
     seed: int
@@ -306,6 +367,7 @@ class Truth:
     outer_f_number: float | None = None
     clear_share: float = 1.0
     reference_wavelength_nm: float = REFERENCE_NM
+    field_terms: Mapping[str, Any] = field(default_factory=dict)
 
     def to_json(self) -> str:
         """Return the truth as JSON."""

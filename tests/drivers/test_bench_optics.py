@@ -187,7 +187,7 @@ def millimetre_px(
     rail = TrueRail(range_at_zero_mm=range_mm, tape_error_mm=tape_error_mm, scatter_mm=0)
     bench = Bench(replace(BenchSettings(), lens=lens, rail=rail, pose=TruePose(0, 0, 0, 0)))
     right, _ = carry(
-        bench._to_pixels(bench._lateral(colour)), np.array([0.0, 1.0]), np.zeros(2)
+        bench.view.to_pixels(bench.view.lateral(colour)), np.array([0.0, 1.0]), np.zeros(2)
     )
     return float(right[1] - right[0])
 

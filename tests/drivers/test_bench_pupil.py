@@ -13,6 +13,7 @@ import pytest
 from scipy.special import j1
 
 from labkit.drivers.simulated.bench import Bench
+from labkit.drivers.simulated.image import fine_grid
 from labkit.drivers.simulated.optics import halo_beyond, point_spread
 from labkit.drivers.simulated.pupil import Pupil
 from labkit.drivers.simulated.world import BenchSettings, TrueLens
@@ -173,9 +174,7 @@ def test_a_bench_samples_as_finely_as_the_outer_rim_needs() -> None:
     mirror = replace(lens, pupil=Pupil(obstruction=0.6))
     assert mirror.outer_f_number == pytest.approx(1.6)
     samples = [
-        Bench(replace(BenchSettings(samples_per_pixel=1), lens=one))
-        ._grid(None, None)
-        .samples
+        fine_grid(Bench(replace(BenchSettings(samples_per_pixel=1), lens=one)).view).samples
         for one in (lens, mirror)
     ]
     assert samples == [11, 14]

@@ -14,7 +14,7 @@ import rawpy
 from labkit.devices.context import DeviceContext
 from labkit.devices.protocols import Camera, Coverable, Display, ExposureSettings, Rail
 from labkit.devices.registry import installed, open_camera, open_devices
-from labkit.drivers.simulated import bench as bench_module
+from labkit.drivers.simulated import image as image_module
 from labkit.drivers.simulated import tiles as tiles_module
 from labkit.drivers.simulated.address import Orders, ordered
 from labkit.drivers.simulated.bench import Bench
@@ -342,7 +342,7 @@ def test_a_picture_in_tiles_is_that_of_a_whole(monkeypatch: pytest.MonkeyPatch) 
     bench = Bench(replace(settings_for(plan(), 5), halo_um=60.0))
     bench.light(np.random.default_rng(1).integers(0, 255, (90, 90)).astype(np.uint8))
     whole = bench._mosaic()
-    monkeypatch.setattr(bench_module, "MOST_AT_ONCE", 0)
+    monkeypatch.setattr(image_module, "MOST_AT_ONCE", 0)
     monkeypatch.setattr(tiles_module, "SIMULATED_TILE_PX", 32)
     parts = bench._mosaic()
     # single precision, and a transform whose size is another

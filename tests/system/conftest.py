@@ -69,7 +69,7 @@ class OnceDrawn(Bench):
         # relative to white: it does not depend on the light's strength
         sensor = replace(self.settings.sensor, white_electrons_per_s=1.0)
         lens = repr(replace(self.settings, sensor=sensor))
-        pose, codes = self._to_pixels().tobytes(), self._codes.tobytes()
+        pose, codes = self.view.to_pixels().tobytes(), self._codes.tobytes()
         key = lens, self.range_mm, pose, codes
         if key not in self.drawn:
             self.drawn[key] = super()._mosaic()

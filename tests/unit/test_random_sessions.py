@@ -200,7 +200,7 @@ def corners_px(bench: Bench, size_mm: float) -> Floats:
     """Of a target in the middle of the panel, (4, 2) row and column."""
     half = size_mm / 2
     columns, rows = carry(
-        bench._to_pixels(),
+        bench.view.to_pixels(),
         np.array([-half, half, half, -half]),
         np.array([-half, -half, half, half]),
     )
