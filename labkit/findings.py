@@ -12,7 +12,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
 
-from labkit.key import Key
+from labkit.key import Key, Tile
 from labkit.types import JSON
 from labkit.uncertain import Uncertain
 
@@ -142,6 +142,10 @@ TEXTS = {
     ),
     "flats-of-another-range": "no flat frames{where}: those{taken} are taken instead",
     "flats-partly-unlit": "flat frames{where} leave {unlit:.0%} of the frame unlit: this part is not used",
+    "tiles-not-found": (
+        "{count} of {every} tiles are not found{at}, and left out: {named}; are they whole in the frame, lit and not covered?"
+    ),
+    "tile-left-out": "{where} is left out: {why}",
     "gain-not-measured": "no range has two flat frames: gain is not measured, and equal pixels are assumed",
     # each fit
     "results-corrupt": "results.json could not be read; it is set aside as {aside}",
@@ -294,6 +298,22 @@ def found(
     where = {} if key is None else {"where": key.label}
     return Finding(
         code, key, numbers, TEXTS[code].format(**{**where, **numbers, **(words or {})})
+    )
+
+
+def tiles_not_found(range_mm: float | None, absent: Sequence[Tile], every: int) -> Finding:
+    """Return the finding that some of a grid's tiles are not found at a range."""
+    words = {"at": _at(range_mm), "named": ", ".join(map(str, absent))}
+    tiles = [list(tile) for tile in absent]
+    count = len(tiles)
+    return found(
+        "tiles-not-found",
+        None,
+        words,
+        range_mm=range_mm,
+        tiles=tiles,
+        count=count,
+        every=every,
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 DECIMALS = 5
@@ -40,6 +40,11 @@ class Key:
 
     def __lt__(self, other: Key) -> bool:
         return self._rank < other._rank
+
+    @property
+    def whole(self) -> Key:
+        """The key of the whole frame that a tile is of."""
+        return replace(self, tile=None)
 
     @property
     def array_name(self) -> str:

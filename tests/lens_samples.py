@@ -68,9 +68,28 @@ def measured(
     )
 
 
-def reading(range_mm: float, channel: str, tile: tuple[int, int] | None = None) -> Reading:
-    """The rail at a range, read as planned."""
-    return Reading(Key(range_mm, channel, tile), range_mm, range_mm)
+def reading(
+    range_mm: float,
+    channel: str,
+    tile: tuple[int, int] | None = None,
+    tiles: tuple[int, int] = (2, 2),
+) -> Reading:
+    """The rail at a range, read as planned; the tile's place is on a lattice of (rows, columns) that fills a square frame."""
+    of = Reading(Key(range_mm, channel, tile), range_mm, range_mm)
+    if tile is None:
+        return of
+    y, x = ((2 * k + 1 - n) / n / np.sqrt(2) for k, n in zip(tile, tiles, strict=True))
+    return replace(of, place=(float(y), float(x)))
+
+
+def over_the_field(
+    rng: np.random.Generator, noll: Sequence[int], place: tuple[float, float]
+) -> dict[int, float]:
+    """Modes at a place, waves RMS: polynomials of second degree, the same for the same generator's state."""
+    y, x = place
+    powers = np.array([1.0, y, x, y * y, x * y, x * x])
+    terms = rng.normal(0, 0.05, (len(noll), len(powers)))
+    return dict(zip(noll, (terms @ powers).tolist(), strict=True))
 
 
 def observed(

@@ -7,13 +7,14 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import replace
-from math import inf
+from math import inf, prod
 from pathlib import Path
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from labkit.analysis.common_numbers import common_numbers
+from labkit.analysis.field_results import as_field
 from labkit.analysis.inputs import made_from, of_frames
 from labkit.analysis.kept_fits import FOLDER, KeptFits
 from labkit.analysis.observe import observe, selected
@@ -135,7 +136,8 @@ def fit(
         name or ("latest" if whole else _partial_name(ranges_mm, channels))
     )
     _refuse_loss(folder, keys)
-    workers = min(workers or default_workers(), len(keys))
+    tiles = prod(plan.target.grid or (1,)) if plan.target.of_many else 1
+    workers = min(workers or default_workers(), len(keys) * tiles)
     target, steps = open_target(plan.target), Steps(progress)
     together = None
     with fitted_alone(folder):
@@ -239,7 +241,8 @@ def _panel_findings(
     DataError : the pixels are so clear that every fit would be wrong
     PlanError : the pixels contradict the panel of the plan
     """
-    views = [first_view(o) for o in observations]
+    first = {o.key.whole: o for o in reversed(observations)}  # of many tiles, one
+    views = [first_view(o) for o in first.values()]
     per_cell, seen = pixels_per_cell(plan, target), seen_pixels(views, target)
     if seen is None:
         return []
@@ -297,6 +300,7 @@ def _results(
         parts_tried=fits.tried,
         widest_light_nm=widest_light_nm(fits, plan),
         common=common_numbers(fits),
+        field=as_field(fits, plan),
         findings=tuple(findings),
         unanswered=unanswered(findings)
         if (fits.lost and not made.failed_accepted) or (wanted and focus is None)
@@ -338,7 +342,7 @@ def _checksum(session: Session, plan: Plan) -> str:
 
 def _refuse_loss(folder: Path, keys: Collection[Key]) -> None:
     """Raise DataError if a folder holds results other than those of some keys, which would be lost."""
-    if lost := sorted(kept_keys(folder) - set(keys)):
+    if lost := sorted(key for key in kept_keys(folder) if key.whole not in keys):
         names = ", ".join(key.label for key in lost)
         raise DataError(
             f"{folder} holds {names} too, which this fit would not replace: give it another name (--name)"

@@ -1,6 +1,6 @@
 """Prepare a session's frames for fits: calibrate, find the target, and cut to the target."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,12 +26,13 @@ from labkit.estimation.observation import Observation
 from labkit.finder.carpet_squares import central_square
 from labkit.finder.cut import cut_around, sees_target_only
 from labkit.finder.find_target import find_target, grey_image
+from labkit.finder.lattice import find_tiles
 from labkit.finder.plausibility import Sight, refuse_contradictions
 from labkit.finder.surround import surround_level
-from labkit.findings import Finding, each_once, found
+from labkit.findings import Finding, each_once, found, tiles_not_found
 from labkit.imaging.brightness import Brightness
 from labkit.imaging.warp import Pose
-from labkit.key import same_range
+from labkit.key import Key, Tile, same_range
 from labkit.optics.lens import ThinLens, ground_sample_mm
 from labkit.panel.target_pixels import as_shown
 from labkit.photographs.decoding import read_photograph
@@ -47,11 +48,14 @@ LEAST_TARGET_PIXELS = 100  # usable ones on the target
 
 @dataclass(frozen=True)
 class _Shot:
-    """A decoded photograph of the target, with the target's corners (4, 2) in pixels."""
+    """A decoded photograph of the target, with the corners (4, 2) in pixels of every tile that was found.
+
+    A target that is whole has one tile, None.
+    """
 
     frame: Frame
     mosaic: Photograph
-    corners_px: Floats
+    corners_px: Mapping[Tile | None, Floats]
 
 
 def observe(
@@ -99,10 +103,21 @@ def observe(
     for done, group in enumerate(groups):
         progress(done, len(groups), "finding the target")
         shots = [_locate(frame, plan, target) for frame in group]
+        tiles, left_out = _tiles_in_all(shots, plan)
+        findings += left_out
         for name in channels:
-            observation, assumed = _observation(calibration, target, shots, name)
-            observations.append(replace(observation, order=min(map(frames.index, group))))
-            findings += assumed
+            for tile in tiles:
+                try:
+                    of, assumed = _observation(calibration, target, shots, name, tile)
+                except DataError as error:
+                    if tile is None:
+                        raise
+                    key = Key(group[0].range_mm, name, tile)
+                    findings.append(found("tile-left-out", key, {"why": str(error)}))
+                    continue
+                order = min(map(frames.index, group))
+                observations.append(replace(of, order=order))
+                findings += assumed
     sights = [
         Sight(o.measured_range_mm, at)
         for o in observations
@@ -182,13 +197,32 @@ def selected(
     return at, names
 
 
+def _tiles_in_all(
+    shots: Sequence[_Shot], plan: Plan
+) -> tuple[list[Tile | None], list[Finding]]:
+    """Return the tiles that all photographs of a range show, and findings about the others."""
+    tiles = [
+        tile for tile in shots[0].corners_px if all(tile in s.corners_px for s in shots)
+    ]
+    if not plan.target.of_many:
+        return tiles, []
+    absent = sorted(set(np.ndindex(plan.target.grid)) - {*tiles})
+    if not absent:
+        return tiles, []
+    every = len(absent) + len(tiles)
+    return tiles, [tiles_not_found(shots[0].frame.range_mm, absent, every)]
+
+
 def _locate(frame: Frame, plan: Plan, target: Target) -> _Shot:
     mosaic = read_photograph(frame.path, plan.sensor)
     if plan.target.corners_px is not None:
-        return _Shot(frame, mosaic, np.array(plan.target.corners_px, float))
+        return _Shot(frame, mosaic, {None: np.array(plan.target.corners_px, float)})
     try:
         grey = grey_image(mosaic.light, mosaic.pattern)
-        return _Shot(frame, mosaic, _found(grey, target, _stated_scale(frame, plan)))
+        scale = _stated_scale(frame, plan)
+        if plan.target.of_many:
+            return _Shot(frame, mosaic, find_tiles(grey, target, plan.target, scale))
+        return _Shot(frame, mosaic, {None: _found(grey, target, scale)})
     except TargetError as error:
         if other := _other_surround(mosaic, frame, plan):
             raise TargetError(
@@ -239,13 +273,18 @@ def _found(grey: Floats, target: Target, mm_per_pixel: float | None) -> Floats:
 
 
 def _observation(
-    calibration: Calibration, target: Target, shots: Sequence[_Shot], channel: str
+    calibration: Calibration,
+    target: Target,
+    shots: Sequence[_Shot],
+    channel: str,
+    tile: Tile | None,
 ) -> tuple[Observation, tuple[Finding, ...]]:
-    """Return the observation of one range and channel, and findings about assumptions."""
+    """Return the observation of one range, channel and tile, and findings about assumptions."""
     first = shots[0].mosaic
     group = [shot.frame for shot in shots]
-    rows, columns = cut = cut_around([shot.corners_px for shot in shots], first.shape)
-    outline = [Pose.from_corners(shot.corners_px, target.size_mm) for shot in shots]
+    corners = [shot.corners_px[tile] for shot in shots]
+    rows, columns = cut = cut_around(corners, first.shape)
+    outline = [Pose.from_corners(one, target.size_mm) for one in corners]
     poses = tuple(pose.shifted(rows.start, columns.start) for pose in outline)
     data = [
         channel_data(calibration, shot.frame, shot.mosaic, channel, cut) for shot in shots
@@ -275,6 +314,8 @@ def _observation(
         homings=tuple(
             int(frame.meta["homing"]) for frame in group if "homing" in frame.meta
         ),
+        tile=tile,
+        photograph_px=first.shape[:2],
     )
     return observation, tuple(finding for part in data for finding in part.findings)
 

@@ -267,6 +267,7 @@ def as_wavefront(local: LocalFit, with_stated_camera: LocalFit | None = None) ->
             np.array([pose.corners_px() for pose in poses]),
         ),
         residuals=_residuals(local),
+        tile=observation.tile,
         sign_open=True,
     )
 

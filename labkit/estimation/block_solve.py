@@ -1,4 +1,4 @@
-"""Least squares over the observations of a session, eliminated group by group (Schur complement).
+"""Least squares over the observations of a session, eliminated block by block (Schur complement).
 
 No array here is larger than observations x values x columns: the normal equations of n observations with p common columns
 cost n p^2. Levenberg (1944), Marquardt (1963).
@@ -44,13 +44,13 @@ class Data:
 
 @dataclass(frozen=True)
 class Normal:
-    """Normal equations in blocks: p common columns, and own columns of each group of observations.
+    """Normal equations: p common columns, and own columns of each block of observations.
 
     Attributes
     ----------
     common : (p, p)
-    cross : (groups, p, own)
-    own : (groups, own, own)
+    cross : (blocks, p, own)
+    own : (blocks, own, own)
     """
 
     common: Floats
@@ -59,7 +59,7 @@ class Normal:
 
     @cached_property
     def eliminated(self) -> Floats:
-        """(groups, own, p) response of own columns to common columns."""
+        """(blocks, own, p) response of own columns to common columns."""
         return np.asarray(np.linalg.solve(self.own, self.cross.transpose(0, 2, 1)), float)
 
     @cached_property
@@ -73,11 +73,11 @@ class Normal:
 
     @cached_property
     def own_covariance(self) -> Floats:
-        """(groups, own, own) covariance of each group's own columns, the common columns held."""
+        """(blocks, own, own) covariance of each block's own columns, the common columns held."""
         return np.asarray(np.linalg.inv(self.own), float)
 
     def solve(self, common: Floats, own: Floats) -> tuple[Floats, Floats]:
-        """Solve for right-hand sides (p,) and (groups, own)."""
+        """Solve for right-hand sides (p,) and (blocks, own)."""
         alone = np.einsum("glm,gm->gl", self.own_covariance, own)
         step = self.covariance @ (common - np.einsum("gpl,gl->p", self.cross, alone))
         return step, alone - self.eliminated @ step
@@ -120,7 +120,7 @@ class Normal:
 
 @dataclass(frozen=True)
 class Point:
-    """A point of the session's parameter space: `theta` (columns,), and `own` (groups, local columns)."""
+    """A point of the session's parameter space: `theta` (columns,), and `own` (blocks, local columns)."""
 
     theta: Floats
     own: Floats
@@ -169,7 +169,7 @@ class LeastSquares(Position):
 
     @property
     def own_slopes(self) -> Floats:
-        """(n, values, local columns) derivatives by the group's own columns."""
+        """(n, values, local columns) derivatives by the block's own columns."""
         return self._slopes[1]
 
     @cached_property
@@ -181,15 +181,15 @@ class LeastSquares(Position):
         return Normal(
             np.tensordot(self.slopes, weighted, ([0, 1], [0, 1]))
             + np.diag(model.prior_std**-2.0),
-            model.by_group(turned @ weighted).transpose(0, 2, 1),
-            model.by_group(turned @ (self.data.precision @ self.own_slopes))
+            model.by_block(turned @ weighted).transpose(0, 2, 1),
+            model.by_block(turned @ (self.data.precision @ self.own_slopes))
             + np.diag(model.local_std**-2.0),
         )
 
     def pulls(self, shifts: Floats) -> tuple[Floats, Floats]:
-        """Return right-hand sides (p,) and (groups, own) of the normal equations for residuals (n, values)."""
+        """Return right-hand sides (p,) and (blocks, own) of the normal equations for residuals (n, values)."""
         weighted = (self.data.precision @ shifts[..., None])[..., 0]
-        own = self.model.by_group(np.einsum("nvl,nv->nl", self.own_slopes, weighted))
+        own = self.model.by_block(np.einsum("nvl,nv->nl", self.own_slopes, weighted))
         return np.tensordot(self.slopes, weighted, ([0, 1], [0, 1])), own
 
     def step(self, damping: float) -> Step:

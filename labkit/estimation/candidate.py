@@ -24,12 +24,14 @@ class Reading:
     range_mm : range by the rail's scale
     station : identity of the rail position; all observations at a station share one range error
     homings : for each photograph, how often the rail had been homed
+    place : (y, x) of a tile's middle from the frame's centre, over half the frame's diagonal
     """
 
     key: Key
     range_mm: float
     station: float
     homings: tuple[int, ...] = ()
+    place: tuple[float, float] = (0.0, 0.0)
 
 
 def _twin_sign(label: str) -> float:

@@ -115,7 +115,11 @@ def reading_of(observation: Observation) -> Reading:
         else observation.range_mm
     )
     return Reading(
-        observation.key, observation.measured_range_mm, station, observation.homings
+        observation.key,
+        observation.measured_range_mm,
+        station,
+        observation.homings,
+        observation.place,
     )
 
 

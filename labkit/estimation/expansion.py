@@ -230,10 +230,10 @@ def free_f_number(problem: Problem, start: Start, f_number_std: float) -> Freed:
     f_number_std : relative standard error of the f-number in the problem's optics. Numbers of the camera parts have a prior
         about 0, as wide as cameras vary.
     """
-    problem, start = _wide_enough(problem, start)
-    prior = _camera_prior(problem.model.optics, f_number_std)
+    problem, start = wide_enough(problem, start)
+    prior = camera_prior(problem.model.optics, f_number_std)
     end, steps, converged = climb(
-        _Opened(problem, problem.drawn(start.state), start.state, *prior, exact=False),
+        Opened(problem, problem.drawn(start.state), start.state, *prior, exact=False),
         tolerance=SETTINGS.settled_stds,
         max_steps=SETTINGS.most_steps,
         damping=0.0,
@@ -242,7 +242,7 @@ def free_f_number(problem: Problem, start: Start, f_number_std: float) -> Freed:
 
 
 @dataclass(eq=False)
-class _Opened(Position):
+class Opened(Position):
     """A position of a climb over all parameters.
 
     Attributes
@@ -261,7 +261,7 @@ class _Opened(Position):
     given: Floats
     precision: Floats
     exact: bool = True
-    last: tuple[_Opened, Floats] | None = None
+    last: tuple[Opened, Floats] | None = None
 
     @cached_property
     def objective(self) -> float:
@@ -293,7 +293,7 @@ class _Opened(Position):
         square = float(change @ information @ change)
         return Step(change, square**0.5, float(change @ gradient) - square / 2)
 
-    def moved(self, change: Floats) -> _Opened:
+    def moved(self, change: Floats) -> Opened:
         expansion = self.expansion
         state, optics = expansion.moved(change), expansion.optics_after(change)
         widened = abs(change[expansion.camera.stop - 1]) > 3 * SETTINGS.loose
@@ -303,7 +303,7 @@ class _Opened(Position):
         problem = replace(self.problem, model=model)
         return replace(self, problem=problem, at=problem.drawn(state), exact=True)
 
-    def foreseen(self, change: Floats) -> _Opened | None:
+    def foreseen(self, change: Floats) -> Opened | None:
         if not self.exact:
             return None
         images = self.expansion.foreseen(change)
@@ -336,7 +336,7 @@ class _Opened(Position):
         )
 
 
-def _camera_prior(optics: Optics, f_number_std: float) -> tuple[Floats, Floats]:
+def camera_prior(optics: Optics, f_number_std: float) -> tuple[Floats, Floats]:
     """Return mean and inverse variance of the camera parameters' prior, (camera,) each."""
     given, stds = np.zeros_like(optics.camera_parameters), optics.camera_stds
     given[-1], stds[-1] = optics.camera_parameters[-1], max(f_number_std, SETTINGS.exact)
@@ -362,7 +362,7 @@ def with_optics_about(model: ForwardModel, optics: Optics, state: State) -> Forw
         )
 
 
-def _wide_enough(problem: Problem, start: Start) -> tuple[Problem, Start]:
+def wide_enough(problem: Problem, start: Start) -> tuple[Problem, Start]:
     """Widen the model's PSF window where the start's wavefront spreads light beyond it."""
     model, state = problem.model, start.state
     if model.window_airy >= SETTINGS.narrow_window * model.optics.window_airy(state.waves):

@@ -25,6 +25,10 @@ WAVELENGTH = "wavelength"
 PART = "part"
 COMMON_MODE = "common mode"
 MODE = "mode"
+FIELD_MODE = "mode over the field"
+FIELD_CONE = "cone over the field"
+FIELD_SCALE = "scale over the field"
+FIELD_COLOUR = "colour over the field"
 
 GEOMETRY = (
     FOCAL_LENGTH,
@@ -36,7 +40,10 @@ GEOMETRY = (
     SIZE,
     PIXEL_PITCH,
 )
-OPEN = (FOCUS, AXIAL_COLOUR, LATERAL_COLOUR, PART, COMMON_MODE, MODE)
+FIELD = (FIELD_MODE, FIELD_CONE, FIELD_SCALE)
+"""Terms of the field's expansion beyond its mean; `FIELD_COLOUR` is what each channel adds to those of the modes."""
+
+OPEN = (FOCUS, AXIAL_COLOUR, LATERAL_COLOUR, PART, COMMON_MODE, MODE, *FIELD)
 """Columns that are unknown before the session: their prior is not a measurement."""
 
 Name = tuple[str | float, ...]

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from scipy.special import chdtrc
 
 from labkit.estimation.block_solve import Data, LeastSquares, Point, quadratic, solve
+from labkit.estimation.field_terms import Family, change, spreads
 from labkit.estimation.laws import (
     AXIAL_COLOUR,
     FOCUS,
@@ -85,9 +86,26 @@ class LensFit:
         variance = np.diag(self.solved.normal.covariance)
         unknown = np.array([column.kind in OPEN for column in self.model.columns])
         free = np.sum(1 - (variance / self.model.prior_std**2)[unknown])
-        own = np.einsum("gll->gl", self.solved.normal.own_covariance)
-        free += np.sum(1 - own / self.model.local_std**2)
+        free += np.sum(1 - self.own_variance / self.model.local_std**2)
         return max(float(self.measured.used.sum() * self.model.values - free), 0.0)
+
+    @cached_property
+    def own_variance(self) -> Floats:
+        """(blocks, local columns) variances of the local columns."""
+        normal = self.solved.normal
+        followed = normal.eliminated
+        return np.asarray(
+            np.einsum("gll->gl", normal.own_covariance)
+            + np.einsum("glp,pq,glq->gl", followed, normal.covariance, followed)
+        )
+
+    def field_spread(self) -> dict[Family, float]:
+        """Return the standard deviation of each family of the field's terms, from their estimates and errors."""
+        model, own = self.model, self.solved.point.own
+        columns = (*model.columns, *model.local_columns * len(own))
+        values = np.append(self.theta, own)
+        variances = np.append(np.diag(self.solved.normal.covariance), self.own_variance)
+        return spreads(columns, values, variances)
 
     @property
     def reduced_chi2(self) -> float:
@@ -123,17 +141,17 @@ class LensFit:
         Parameters
         ----------
         combinations : (m, columns)
-        k : observation whose values the combinations are: the own columns of its group count too
+        k : observation whose values the combinations are: the own columns of its block count too
         """
         normal, own = self.solved.normal, self.solved.own_slopes[k or 0]
         own = np.zeros((len(combinations), own.shape[1])) if k is None else own
-        group = self.model.groups[k or 0]
-        followed = combinations - own @ normal.eliminated[group]
+        block = self.model.blocks[k or 0]
+        followed = combinations - own @ normal.eliminated[block]
         noise = (
             followed @ normal.covariance @ followed.T
-            + own @ normal.own_covariance[group] @ own.T
+            + own @ normal.own_covariance[block] @ own.T
         )
-        noise += self._repeated(followed, own, group)
+        noise += self._repeated(followed, own, block)
         noise *= self.birge_ratio**2 * (1 - sum(chance for chance, _ in self.others))
         for chance, lens in self.others:
             there = _sized(combinations, len(lens.theta))
@@ -141,7 +159,7 @@ class LensFit:
             noise += chance * (lens.errors_of(there, k) + np.outer(moved, moved))
         if self.bias is None:
             return np.asarray(noise)
-        bias = combinations @ self.bias.theta + own @ self.bias.own[group]
+        bias = combinations @ self.bias.theta + own @ self.bias.own[block]
         return covariance_with_bias(noise, bias)
 
     def value(self, kind: str, *name: str | float) -> float:
@@ -165,8 +183,8 @@ class LensFit:
 
     @cached_property
     def _eliminated_slopes(self) -> Floats:
-        """(n, values, columns) derivatives by the common columns, each group's own columns eliminated."""
-        followed = self.solved.normal.eliminated[self.model.groups]
+        """(n, values, columns) derivatives by the common columns, each block's own columns eliminated."""
+        followed = self.solved.normal.eliminated[self.model.blocks]
         return np.asarray(self.solved.slopes - self.solved.own_slopes @ followed)
 
     @cached_property
@@ -174,7 +192,7 @@ class LensFit:
         """(n, values, values) covariance of fitted values."""
         own, followed = self.solved.own_slopes, self._eliminated_slopes
         normal = self.solved.normal
-        alone = normal.own_covariance[self.model.groups]
+        alone = normal.own_covariance[self.model.blocks]
         return np.asarray(
             followed @ normal.covariance @ followed.transpose(0, 2, 1)
             + own @ alone @ own.transpose(0, 2, 1)
@@ -237,7 +255,7 @@ class LensFit:
         change[-2] = 1.0
         return change * self.value(WORKING_F_NUMBER)
 
-    def _repeated(self, followed: Floats, own: Floats, group: int) -> Floats:
+    def _repeated(self, followed: Floats, own: Floats, block: int) -> Floats:
         """Return the covariance (m, m) that model errors add to m combinations because every fit has the same error.
 
         Residuals that are not noise have a cause, which is in every photograph: an average over observations keeps its
@@ -246,8 +264,8 @@ class LensFit:
         Parameters
         ----------
         followed : (m, columns) derivatives by the common columns, own columns eliminated
-        own : (m, local columns) derivatives by the own columns of a group
-        group : the group
+        own : (m, local columns) derivatives by the own columns of a block
+        block : the block
         """
         used = np.flatnonzero(self.measured.used)
         roots = _roots(self.measured.model[used])
@@ -255,9 +273,9 @@ class LensFit:
             return np.zeros((len(followed), len(followed)))
         normal, slopes = self.solved.normal, self._eliminated_slopes
         pulls = followed @ normal.covariance @ slopes.transpose(0, 2, 1)
-        inside = self.model.groups == group
+        inside = self.model.blocks == block
         slopes = self.solved.own_slopes[inside]
-        pulls[inside] += own @ normal.own_covariance[group] @ slopes.transpose(0, 2, 1)
+        pulls[inside] += own @ normal.own_covariance[block] @ slopes.transpose(0, 2, 1)
         moved = np.sum((pulls @ self.solved.data.precision)[used] @ roots, axis=0)
         return np.asarray((1 - 1 / len(used)) * moved @ moved.T)
 
@@ -339,6 +357,24 @@ def fit_lens(
     )
 
 
+def fit_field(
+    model: LensModel, measured: Measurements, start: Point | None = None
+) -> LensFit:
+    """Estimate the session's parameters, and with them the standard deviations of the field's terms.
+
+    These maximise the marginal likelihood, by expectation maximisation; sessions without tiles have none.
+    """
+    lens = fit_lens(model, measured, start)
+    if not lens.model.field_order:
+        return lens
+    for _ in range(SETTINGS.most_steps):
+        before, after = lens.model.field_spread, lens.field_spread()
+        if change(before, after) < SETTINGS.field_change:
+            break
+        lens = fit_lens(replace(model, field_spread=after), measured, lens.solved.point)
+    return lens
+
+
 def first_point(model: LensModel, measured: Measurements) -> Point:
     """Return a start: best focus where each channel's defocus crosses zero, all other columns at their prior mean."""
     theta = model.centre.copy()
@@ -358,7 +394,7 @@ def first_point(model: LensModel, measured: Measurements) -> Point:
     for channel in model.channels:
         if channel != model.reference:
             theta[model.index(AXIAL_COLOUR, channel)] = found.get(channel, first) - first
-    return Point(theta, np.zeros((int(model.groups.max()) + 1, len(model.local_columns))))
+    return Point(theta, np.zeros((int(model.blocks.max()) + 1, len(model.local_columns))))
 
 
 def focus_slope(model: LensModel) -> float:

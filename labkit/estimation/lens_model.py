@@ -8,7 +8,7 @@ needs a new column (`_columns`) and its derivatives: an entry of `_channel_map`,
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import cast
@@ -16,6 +16,13 @@ from typing import cast
 import numpy as np
 
 from labkit.estimation.candidate import Reading
+from labkit.estimation.field_terms import (
+    Family,
+    common_columns,
+    design,
+    own_columns,
+    usual_order,
+)
 from labkit.estimation.laws import (
     AXIAL_COLOUR,
     COMMON_MODE,
@@ -59,8 +66,8 @@ class LensModel:
     """The laws of a session, for all observations, measured or not.
 
     Values of an observation, in order: modes of `noll`, numbers of the parts, ln of the working f-number, ln of the scale.
-    Columns are parameters of the whole session. Observations of tiles have local columns in addition, one set for each channel
-    and tile, which `labkit.estimation.block_solve` eliminates.
+    Columns are parameters of the whole session. Where observations are of tiles, `labkit.estimation.field_terms` adds those of
+    the field, and local columns: a set for each channel, which `labkit.estimation.block_solve` eliminates.
 
     Attributes
     ----------
@@ -70,6 +77,7 @@ class LensModel:
     stated : the plan's numbers
     laws : tolerances of the laws
     tilt_std : relative error of all sizes due to the target's tilt
+    field_spread : standard deviations of the field's terms, by family, where they differ from those before the session
     """
 
     readings: tuple[Reading, ...]
@@ -78,6 +86,7 @@ class LensModel:
     stated: Stated
     laws: Laws = field(default_factory=Laws)
     tilt_std: float = 0.0
+    field_spread: Mapping[Family, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         times = Counter(reading.key for reading in self.readings)
@@ -115,24 +124,36 @@ class LensModel:
         return any(reading.key.tile is not None for reading in self.readings)
 
     @cached_property
-    def groups(self) -> Indices:
-        """(n,) index of each observation's group: its channel and tile."""
-        names = [(r.key.channel, r.key.tile) for r in self.readings]
-        places = {name: k for k, name in enumerate(dict.fromkeys(names))}
-        return np.array([places[name] for name in names], dtype=np.intp)
+    def field_order(self) -> int:
+        """Radial order of the field's expansion; 0 for sessions without tiles."""
+        if not self.tiled:
+            return 0
+        tiles = len({reading.key.tile for reading in self.readings})
+        stated = self.stated.field_order
+        return usual_order(tiles) if stated is None else stated
 
-    def by_group(self, rows: Floats) -> Floats:
-        """Sum rows (n, ...) over the observations of each group, (groups, ...)."""
-        order, first = self._group_order
+    @cached_property
+    def groups(self) -> Indices:
+        """(n,) index of each observation's group: its channel and tile. Defocus of a group changes its sign once over range."""
+        return _numbered((r.key.channel, r.key.tile) for r in self.readings)
+
+    @cached_property
+    def blocks(self) -> Indices:
+        """(n,) index of each observation's block, which has local columns: its channel."""
+        return _numbered(r.key.channel for r in self.readings)
+
+    def by_block(self, rows: Floats) -> Floats:
+        """Sum rows (n, ...) over the observations of each block, (blocks, ...)."""
+        order, first = self._block_order
         return np.asarray(
             np.add.reduceat(rows if order is None else rows[order], first, axis=0)
         )
 
     @cached_property
-    def _group_order(self) -> tuple[Indices | None, Indices]:
-        """Order that sorts observations by group, None if they are sorted, and the place where each group begins."""
-        order = np.argsort(self.groups, kind="stable")
-        first = np.flatnonzero(np.diff(self.groups[order], prepend=-1))
+    def _block_order(self) -> tuple[Indices | None, Indices]:
+        """Order that sorts observations by block, None if they are sorted, and the place where each block begins."""
+        order = np.argsort(self.blocks, kind="stable")
+        first = np.flatnonzero(np.diff(self.blocks[order], prepend=-1))
         return None if np.array_equal(order, np.arange(len(order))) else order, first
 
     @cached_property
@@ -142,15 +163,10 @@ class LensModel:
 
     @cached_property
     def local_columns(self) -> tuple[Column, ...]:
-        """Parameters of each channel and tile; empty for sessions without tiles."""
-        if not self.tiled:
+        """Parameters of each channel for itself; empty for sessions without tiles, or with one channel."""
+        if len(self.channels) < 2:
             return ()
-        far = max(reading.range_mm for reading in self.readings)
-        return (
-            Column(FOCUS, SETTINGS.colour_std * far),
-            Column(LATERAL_COLOUR, SETTINGS.loose),
-            *(Column(MODE, SETTINGS.unknown, name=(j,)) for j in self._upper_modes),
-        )
+        return tuple(own_columns(self.field_order, self.noll, self.field_spread))
 
     @cached_property
     def centre(self) -> Floats:
@@ -216,7 +232,7 @@ class LensModel:
         return variance
 
     def predicted(self, theta: Floats, local: Floats) -> Floats:
-        """Predict the measurements (n, values), for theta (columns,) and local (groups, local columns).
+        """Predict the measurements (n, values), for theta (columns,) and local (blocks, local columns).
 
         Light of a longer wavelength than stated makes the same picture as stated light through a cone narrower by the same
         ratio, with path differences smaller by the same ratio: N grows with the wavelength's error, the modes shrink. If the
@@ -311,10 +327,11 @@ class LensModel:
         names = (self.of_channel(label, c) for c in self.channels for label in self.parts)
         for name in dict.fromkeys(names):
             yield Column(PART, SETTINGS.unknown, name=name)
-        for j in [] if self.tiled else self._upper_modes:
+        for j in self._upper_modes:
             yield Column(COMMON_MODE, SETTINGS.unknown, name=(j,))
             for channel in self.channels:
                 yield Column(MODE, SETTINGS.colour_modes_std, name=(channel, j))
+        yield from common_columns(self.field_order, self.noll, self.field_spread)
         for kind, name in ONLY_MISTAKEN:  # last: other columns keep their places
             if (kind, name) == self.laws.mistaken:
                 yield Column(kind, SETTINGS.loose)
@@ -342,10 +359,9 @@ class LensModel:
                 if (column := self._places.get((HOMING_LABEL, (homing,)))) is not None:
                     common[k, true_range, column] = times / len(reading.homings)
         own = np.zeros((n, rows, len(self.local_columns)))
-        if self.tiled:
-            upper = [self.noll.index(j) for j in self._upper_modes]
-            places = [self.values + 4, self.values - 1, *upper]
-            own[:, places, range(len(places))] = 1.0
+        places = np.array([reading.place for reading in self.readings])
+        common[:, : self.values] += design(self.columns, places, self.noll, self.values)
+        own[:, : self.values] = design(self.local_columns, places, self.noll, self.values)
         return offset, common, own
 
     def _channel_map(self, channel: str) -> Floats:
@@ -377,7 +393,7 @@ class LensModel:
         """Return values without the laws, and the laws' arguments, (n, values + 6)."""
         offset, common, own = self._map
         return np.asarray(
-            offset + common @ theta + np.einsum("nrl,nl->nr", own, local[self.groups])
+            offset + common @ theta + np.einsum("nrl,nl->nr", own, local[self.blocks])
         )
 
     def _laws(self, arguments: Floats) -> Floats:
@@ -409,3 +425,10 @@ class LensModel:
             return ahead - self._laws(arguments[:, None] - times * moves)
 
         return np.asarray((8 * difference(1) - difference(2)) / (12 * steps))
+
+
+def _numbered(names: Iterable[Hashable]) -> Indices:
+    """Number names by their first appearance, (n,)."""
+    every = list(names)
+    places = {name: k for k, name in enumerate(dict.fromkeys(every))}
+    return np.array([places[name] for name in every], dtype=np.intp)

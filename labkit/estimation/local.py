@@ -12,6 +12,7 @@ from labkit.estimation import starts
 from labkit.estimation.candidate import Candidate, Measured
 from labkit.estimation.climb import NoisePrior, Problem, Start, State
 from labkit.estimation.expansion import Freed, free_f_number
+from labkit.estimation.held import expanded_about
 from labkit.estimation.likelihood import FrameData, predict
 from labkit.estimation.residuals import Verdict, judge, residual_spectrum
 from labkit.estimation.scores import ScoreTest, score_tests, twin_scores
@@ -42,6 +43,7 @@ class Optimum:
     relative : relative image (pixels,) of each frame's used pixels
     residual_power : power of the residuals by frequency
     scores : by name, the score test of each part and group of modes that the model lacks
+    held : whether the wavefront is a prediction, about which the likelihood was expanded, and no optimum
     """
 
     state: State
@@ -55,6 +57,7 @@ class Optimum:
     relative: tuple[Floats, ...]
     residual_power: Floats
     scores: Mapping[str, ScoreTest] = field(default_factory=dict)
+    held: bool = False
 
     @property
     def noll(self) -> tuple[int, ...]:
@@ -179,6 +182,7 @@ class Guesses:
     ----------
     f_number_std : relative standard error of the optics' f-number; 0 if exact
     state : end of an earlier climb of the same frames, to start from
+    held : whether to expand the likelihood about `state`, with its wavefront held, in place of a climb
     starts : wavefronts (modes,) predicted by other frames
     poses : pose of the target in every frame, from another channel, right to a fraction of a pixel; empty if unknown
     modes : predicted wavefronts with unknown defocus
@@ -192,6 +196,7 @@ class Guesses:
 
     f_number_std: float = 0.0
     state: State | None = None
+    held: bool = False
     starts: tuple[Floats, ...] = ()
     poses: tuple[Pose, ...] = ()
     modes: tuple[Floats, ...] = ()
@@ -237,7 +242,7 @@ def find_optima(
     for guess, state in search.states(log):
         progress("at full resolution")
         freed = search.climbed(state)
-        optimum = _judged(freed)
+        optimum = replace(_judged(freed), held=guesses.held)
         log.tried.append((state, optimum.log_likelihood))
         optima = _with(optima, optimum)
         if optima[0] is optimum:
@@ -329,7 +334,8 @@ class _Search:
             if len(state.poses) == len(self.views.poses) > 1
             else self._all_frames(state)
         )
-        return free_f_number(self.whole, Start(begin), self.guesses.f_number_std)
+        free = expanded_about if self.guesses.held else free_f_number
+        return free(self.whole, Start(begin), self.guesses.f_number_std)
 
     def _lit(self, waves: Floats) -> State:
         """Return the state of a wavefront at known poses, its light fitted frame by frame."""
@@ -394,7 +400,12 @@ def _with(optima: Sequence[Optimum], new: Optimum) -> list[Optimum]:
 
 
 def _alike(one: Optimum, other: Optimum) -> bool:
-    """Return whether two ends are one optimum, or twins: equally likely, or nearer than a fraction of a standard error."""
+    """Return whether two ends are one optimum, or twins: equally likely, or nearer than a fraction of a standard error.
+
+    A wavefront that was held is no optimum.
+    """
+    if one.held != other.held:
+        return False
     near = min(
         float(np.linalg.norm(one.waves - w))
         for w in (other.waves, other.waves * twin_signs(other.noll))

@@ -1,4 +1,4 @@
-"""Frames of one channel at one range: the input of the estimate."""
+"""Frames of one channel at one range, of the whole target or of one of its tiles: the input of the estimate."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ import numpy as np
 from labkit.estimation.climb import NoisePrior
 from labkit.estimation.likelihood import FrameData
 from labkit.imaging.warp import Pose
-from labkit.key import Key
+from labkit.key import Key, Tile
+from labkit.optics.field import FieldFrame
 from labkit.types import Floats
 
 
 @dataclass(frozen=True)
 class Observation:
-    """Frames of one channel at one range, cut to the target, and the place of the cut.
+    """Frames of one channel at one range, cut to the target or to one of its tiles, and the place of the cut.
 
     Attributes
     ----------
@@ -31,6 +32,8 @@ class Observation:
     origin_px : (row, column) of the cut's first pixel in the raw image
     homings : for each frame, how often the rail had been homed; empty if not recorded
     order : place of the first photograph in the session
+    tile : (row, column) of the tile; None for a target that is whole
+    photograph_px : (rows, columns) of the raw image, where it is tiled
     """
 
     range_mm: float | None
@@ -45,11 +48,22 @@ class Observation:
     origin_px: tuple[int, int] = (0, 0)
     homings: tuple[int, ...] = ()
     order: int = 0
+    tile: Tile | None = None
+    photograph_px: tuple[int, int] = (0, 0)
 
     @property
     def key(self) -> Key:
         """Identity of the observation and of its wavefront."""
-        return Key(self.range_mm, self.channel)
+        return Key(self.range_mm, self.channel, self.tile)
+
+    @property
+    def place(self) -> tuple[float, float]:
+        """(y, x) of a tile's middle from the middle of the raw image, over half the image's diagonal; (0, 0) without tiles."""
+        if self.tile is None:
+            return 0.0, 0.0
+        middle = np.mean([pose.v[[0, 3]] for pose in self.poses], axis=0)
+        y, x = FieldFrame(self.photograph_px).relative(middle + self.origin_px)
+        return float(y), float(x)
 
     @property
     def shape(self) -> tuple[int, int]:

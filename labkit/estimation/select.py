@@ -26,6 +26,7 @@ from labkit.estimation.lens_fit import (
     LensFit,
     Measurements,
     crossing,
+    fit_field,
     fit_lens,
     focus_slope,
 )
@@ -347,7 +348,8 @@ def exact_lens(
     model = LensModel(
         tuple(readings), known[0].noll, parts, stated, laws or Laws(), tilt_std
     )
-    lens = fit_lens(model, measured)
+    lens = fit_field(model, measured)
+    model = lens.model
     stations = {
         one.station for one, member in zip(readings, members, strict=True) if member
     }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,6 +12,7 @@ from labkit.estimation.camera import CameraChoice, Parts, Refits, with_tests
 from labkit.estimation.estimate import Estimate, LocalFit, is_ranged, observed
 from labkit.estimation.laws import Laws
 from labkit.estimation.lens_fit import fit_lens
+from labkit.estimation.lens_model import LensModel
 from labkit.estimation.local import Found, Guesses, Optimum
 from labkit.estimation.observation import Observation
 from labkit.estimation.searches import Searches
@@ -23,7 +24,9 @@ from labkit.estimation.strong import StrongSearch
 from labkit.execute import Run
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
+from labkit.key import Tile
 from labkit.mode_groups import MODE_GROUPS
+from labkit.optics.field import field_terms
 from labkit.plan import Plan
 from labkit.target import Target
 from labkit.types import Floats, Progress
@@ -151,10 +154,15 @@ class _Loop:
         return self._badly_predicted(selection) if selection is not None else {}
 
     def _anchors(self, places: Sequence[int]) -> list[int]:
-        """Return the reference channel at the nearest and the farthest range; one observation if ranges are unknown."""
+        """Return the reference channel at the nearest and the farthest range; one observation if ranges are unknown.
+
+        Of tiles, the one nearest to the middle of the frame.
+        """
         channels = [self.observations[k].channel for k in places]
         first = "G" if "G" in channels else channels[0]
         of = [k for k in places if self.observations[k].channel == first]
+        inner = min(of, key=lambda k: np.hypot(*self.observations[k].place))
+        of = [k for k in of if self.observations[k].tile == self.observations[inner].tile]
         ranges = {
             k: r for k in of if (r := self.observations[k].measured_range_mm) is not None
         }
@@ -205,14 +213,15 @@ class _Loop:
     ) -> dict[int, Guesses]:
         """Return first fits: from the prediction if defocus is predicted well; else the clearest of each channel.
 
-        Far from focus the right optimum is clear. Near focus wrong optima are close, and a fit starts from the prediction.
+        Far from focus the right optimum is clear. Near focus wrong optima are close, and a fit starts from the prediction. Of
+        tiles, the clearest of as many are fitted as the field's expansion has terms: then the others are predicted.
         """
         if selection is None:
             waves = self._clearest().waves
             return {k: self._guess(modes=(waves,)) for k in left}
         predicted, covariance = selection.lens.predictions
         at = selection.lens.model.defocus
-        sure, leaders = dict[int, Guesses](), dict[str, tuple[float, int]]()
+        sure, clearest = dict[int, Guesses](), dict[tuple[str, Tile | None], int]()
         for k in left:
             if (row := self.rows.get(k)) is None:
                 sure[k] = self._guess(modes=(self._clearest().waves,))
@@ -221,16 +230,33 @@ class _Loop:
             if covariance[row, at, at] < SETTINGS.sure_waves**2:
                 sure[k] = self._guess(starts=(waves,), poses=self._known_poses(k))
                 continue
-            channel = self.observations[k].channel
-            leaders[channel] = max(
-                leaders.get(channel, (-1.0, k)), (abs(float(waves[at])), k)
-            )
-        for _, k in leaders.values():
+            group = self.observations[k].channel, self.observations[k].tile
+            other = clearest.setdefault(group, k)
+            if abs(waves[at]) > abs(predicted[self.rows[other], at]):
+                clearest[group] = k
+        spread = covariance[:, at, at]
+        for k in self._worst_predicted(clearest.values(), selection.lens.model, spread):
             sure[k] = self._guess(modes=(predicted[self.rows[k], : len(self._noll)],))
         return sure
 
+    def _worst_predicted(
+        self, places: Iterable[int], model: LensModel, variance: Floats
+    ) -> list[int]:
+        """Return, of each channel, as many observations as its wavefront has terms over the field: one without tiles.
+
+        variance : (n,) of predicted defocus; the largest come first
+        """
+        ranked = sorted(places, key=lambda k: -variance[self.rows[k]])
+        chosen = list[int]()
+        for channel in model.channels:
+            of = [k for k in ranked if self.observations[k].channel == channel]
+            chosen += of[: len(field_terms(model.field_order))]
+        return chosen
+
     def _badly_predicted(self, selection: Selection) -> dict[int, Guesses]:
         """Return refits from the prediction of all others: of outliers, and of members with unexplained residuals.
+
+        A fit that left its prediction is expanded about it: near focus, optima may be far from the truth.
 
         If modes differ from range to range, every fit is tried with the modes of the others, and the likelihood decides.
         If the model is incomplete for all, modes differ for that reason, and no member is refitted.
@@ -253,8 +279,13 @@ class _Loop:
             far = away > SETTINGS.other_optimum_waves
             doubtful = not selection.members[row] or (anyone and not candidate.explained)
             doubtful = doubtful or not (selection.lens.model.laws.shared or poor)
-            if far and doubtful and self._new(k, waves):
+            if not (far and doubtful):
+                continue
+            if self._new(k, waves):
                 doubted[k] = self._guess(starts=(waves,), poses=self._known_poses(k))
+            elif not any(one.held for one in self.found[k].optima):
+                state = replace(self.chosen(k).state, waves=waves)
+                doubted[k] = replace(self._guess(), state=state, held=True)
         self.again |= doubted.keys()
         return doubted
 
@@ -273,7 +304,8 @@ class _Loop:
         here = self.observations[k]
         for j in self.found:
             there = self.observations[j]
-            if j != k and there.names and there.names == here.names:
+            same = there.names == here.names and there.tile == here.tile
+            if j != k and there.names and same:
                 (top, left), (other_top, other_left) = here.origin_px, there.origin_px
                 poses = self.found[j].best.state.poses
                 return tuple(

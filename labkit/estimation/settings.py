@@ -106,6 +106,13 @@ class Settings:
     """Relative difference of best focus and of size between a colour and the reference colour: simple lenses have 0.02."""
     colour_modes_std: float = 0.1
     """Difference of modes between a colour and all colours: light passes the same glass."""
+    field_order: int = 4
+    """Largest radial order of the field's expansion that is tried unless the plan states one: a commercial lens's modes leave
+    0.025 waves of 0.9 (`docs/decisions.md`)."""
+    field_waves: float = 0.3
+    """Standard deviation of a mode's change over the field before the session: fast lenses have as much at the corners."""
+    field_change: float = 0.1
+    """Relative change of every standard deviation of the field's terms at which they are taken as found."""
     unknown: float = 10.0
     """Prior standard error of an unknown mode or part's number, in its own unit."""
     loose: float = 0.1

@@ -31,6 +31,7 @@ class Stated:
     wavelength_std : relative standard error, by channel
     reference_nm : wavelength in which waves are counted
     convention : law of defocus, see `labkit.optics.lens.defocus_waves`
+    field_order : radial order of the field's expansion; None if the session decides
     """
 
     focal_length: Uncertain
@@ -42,6 +43,7 @@ class Stated:
     wavelength_std: dict[str, float]
     reference_nm: float
     convention: Convention = "corrected"
+    field_order: int | None = None
 
     @classmethod
     def of(cls, plan: Plan) -> Stated:

@@ -2,23 +2,24 @@
 
 W(H; ρ) = Σ c_kj Z_k(H / H_max) Z_j(ρ), both in Noll's order (Kwee and Braat, Pure Appl. Opt. 2, 21 (1993)). H is a
 place on the sensor in mm from the frame's centre, x along the rows to the right, y down, as in the pupil; H_max is half the
-frame's diagonal. Noll 4 is defocus at the best focus of the reference channel, as a mean over the field: its terms with k > 1
-are the shape of the focal surface.
+frame's diagonal. Noll 4 is defocus where the reference channel is in best focus in the middle of the frame: its terms with
+k > 1 are the shape of the focal surface.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import nan
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from labkit.arrays import real_array
 from labkit.optics.lens import blur_per_wave_um
-from labkit.optics.wavefront import DEFOCUS, FittedWavefront
-from labkit.optics.zernike import zernike
+from labkit.optics.wavefront import DEFOCUS, FittedWavefront, modes_at
 from labkit.types import Floats
+from labkit.uncertain import Uncertain
 
 
 @dataclass(frozen=True)
@@ -28,11 +29,11 @@ class FieldFrame:
     Parameters
     ----------
     shape_px : (rows, columns) of the raw image
-    pixel_pitch_um : of the raw's pixels
+    pixel_pitch_um : of the raw's pixels; nan where lengths are not needed
     """
 
     shape_px: tuple[int, int]
-    pixel_pitch_um: float
+    pixel_pitch_um: float = nan
 
     @property
     def centre_px(self) -> Floats:
@@ -42,7 +43,16 @@ class FieldFrame:
     @property
     def radius_mm(self) -> float:
         """Half the frame's diagonal, the unit of the field's polynomials."""
-        return float(np.hypot(*self.shape_px) / 2 * self.pixel_pitch_um * 1e-3)
+        return self.radius_px * self.pixel_pitch_um * 1e-3
+
+    @property
+    def radius_px(self) -> float:
+        """The same in pixels."""
+        return float(np.hypot(*self.shape_px) / 2)
+
+    def relative(self, places_px: ArrayLike) -> Floats:
+        """Return the places (..., 2), y and x from the centre, in units of the radius."""
+        return np.asarray((np.asarray(places_px, float) - self.centre_px) / self.radius_px)
 
     def heights_mm(self, places_px: ArrayLike) -> Floats:
         """Return (..., 2) image heights (y down, x right) in mm from the centre, of places (..., 2) as (row, column)."""
@@ -55,10 +65,8 @@ class FieldFrame:
 
     def polynomials(self, field: Sequence[int], places_px: ArrayLike) -> Floats:
         """Return the field's Zernike polynomials (terms, ...) at places (..., 2); the corners are at radius 1."""
-        heights = self.heights_mm(places_px) / self.radius_mm
-        rho = np.hypot(heights[..., 0], heights[..., 1])
-        theta = np.arctan2(heights[..., 0], heights[..., 1])
-        return np.stack([zernike(k, rho, theta) for k in field])
+        at = self.relative(places_px)
+        return modes_at(tuple(field), at[..., 1], at[..., 0])
 
 
 def field_terms(order: int) -> tuple[int, ...]:
@@ -136,6 +144,33 @@ class FieldModel:
         """Return the modes (..., modes), waves RMS, at places (..., 2), and their covariances (..., modes, modes)."""
         rows = self.rows(channel, places_px)
         return rows @ self.waves.ravel(), rows @ self.covariance @ rows.swapaxes(-1, -2)
+
+    @property
+    def leading(self) -> str:
+        """The channel whose focal surface stands for all: green if present, else the first."""
+        return "G" if "G" in self.channels else self.channels[0]
+
+    @property
+    def sensor_tilt(self) -> tuple[Floats, Floats]:
+        """(2,) slopes of the sensor over its image along y and x, um/mm, and their covariance (2, 2).
+
+        The best plane over the frame: positive where the sensor lies farther behind the image at larger y or x.
+        """
+        places = [self.index(self.leading, k, DEFOCUS) for k in (3, 2)]
+        # Noll 2 and 3 are 2ρ cos θ and 2ρ sin θ
+        scale = 2 * self.um_per_wave / self.frame.radius_mm
+        return scale * self.waves.ravel()[places], scale**2 * self.covariance[
+            np.ix_(places, places)
+        ]
+
+    @property
+    def curvature(self) -> Uncertain:
+        """Distance of the sensor behind its image over the square of the image height, mm/mm²: the field's Noll 4."""
+        at = self.index(self.leading, 4, DEFOCUS)
+        # Noll 4 is √3 (2ρ² - 1)
+        scale = 2 * np.sqrt(3) * 1e-3 * self.um_per_wave / self.frame.radius_mm**2
+        std = float(scale * np.sqrt(self.covariance[at, at]))
+        return Uncertain(float(scale * self.waves.ravel()[at]), std, "mm/mm²")
 
     def wavefront(
         self, channel: str, place_px: ArrayLike, sensor_um: float = 0.0

@@ -214,6 +214,19 @@ class Wavefront:
         return Key(self.range_mm, self.channel, self.tile)
 
     @property
+    def centre_px(self) -> list[float] | None:
+        """(row, column) of the target's middle, the mean over the photographs, in pixels of the raw file."""
+        if self.placement is None:
+            return None
+        # the diagonals cross there
+        corners = np.append(
+            self.placement.corners_px, np.ones((len(self.poses), 4, 1)), axis=2
+        )
+        first, second, third, last = np.moveaxis(corners, 1, 0)
+        middle = np.cross(np.cross(first, third), np.cross(second, last))
+        return np.mean(middle[:, :2] / middle[:, 2:], axis=0).tolist()
+
+    @property
     def std(self) -> Floats:
         """(modes,) standard errors, waves RMS."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))

@@ -21,6 +21,7 @@ from labkit.key import Key
 from labkit.optics.rim import ROUND, Circle, Cut, Diaphragm, Rim
 from labkit.optics.spectrum import Spectrum
 from labkit.plan import Plan
+from labkit.results.field_entry import FieldEntry
 from labkit.results.kept import (
     Corners,
     Degrees,
@@ -272,6 +273,8 @@ class WavefrontEntry(Entry):
     frames: tuple[Text, ...] = ()
     origin_px: tuple[Place, Place] = (0, 0)
     shape_px: tuple[Size, Size] | None = None
+    tile: Any = None
+    centre_px: Any = None
     corners_px: (
         Annotated[Floats, array(Annotated[tuple[Corners, ...], Field(min_length=1)])] | None
     ) = None
@@ -298,6 +301,7 @@ class WavefrontEntry(Entry):
             errors_known=confirmed(w, results.wavefronts),
             pose=w.poses[0],
             test=w.test and replace(w.test, others=w.test.others[:MOST_OTHERS]),
+            **({} if w.tile is None else {"tile": w.tile, "centre_px": w.centre_px}),
             **_verdicts(w),
             **({} if w.placement is None else _attributes(w.placement)),
         )
@@ -429,6 +433,7 @@ class Content(Entry):
     wavefronts: tuple[WavefrontEntry, ...]
     focus: Annotated[Focus, Kept(FocusEntry, _focus, _focus_entry)] | None
     lens: LensEntry | None = None
+    field: FieldEntry | None = None
     budget: dict[Name, dict[Name, Finite]] = Field(default_factory=dict)
     joint: dict[Name, Finite] = Field(default_factory=dict)
     model_parts: dict[Name, Annotated[Uncertain, uncertain()]] = Field(default_factory=dict)
@@ -465,6 +470,7 @@ class Content(Entry):
             convention=plan.fit.convention,
             wavefronts=tuple(WavefrontEntry.of_wavefront(w, results) for w in results),
             lens=None if lens is None else LensEntry.of_results(results, lens),
+            field=None if results.field is None else FieldEntry.of_model(results.field),
             light={name: LightEntry.of(of) for name, of in results.named_lights.items()},
             focus_waves_per_nm=results.focus_slopes(),
             findings=tuple(map(FindingEntry.of, results.findings)),

@@ -23,6 +23,7 @@ from labkit.files import (
     writing,
 )
 from labkit.key import Key
+from labkit.optics.field import FieldModel
 from labkit.plan import Plan
 from labkit.results.model import Residuals, Wavefront
 from labkit.results.schema import READABLE, Content
@@ -37,6 +38,8 @@ PSF_SAMPLES_PER_AIRY = 6.0  # of the shortest wavelength's lambda N: three times
 PSF_HALF_WIDTH_AIRY = (
     32.0  # of the longest wavelength's lambda N: 0.6 % of the light lies beyond
 )
+FIELD = "field.npz"
+COVARIANCE = "covariance"  # of the field's coefficients
 RESIDUAL_PARTS = ("data", "model", "sigma")  # of residuals
 MOST_NUMBER_BYTES = 8  # of a number
 MOST_RESULT_PIXELS = 2**28  # of any photograph
@@ -57,6 +60,7 @@ def write(folder: Path, results: Results) -> Path:
     files = {  # made before the first is written: files of two fits never lie side by side for long
         PSFS: npz.packed(psfs(results.wavefronts), compressed=False),
         RESIDUALS: npz.packed(_residuals(results.wavefronts), compressed=False),
+        **_field_file(results.field),
         RESULTS_FILE: json.dumps(entry(results), indent=1, allow_nan=False).encode()
         + b"\n",
     }
@@ -80,7 +84,7 @@ def read(folder: Path, name: str, *, residuals: bool = True) -> dict[str, Any]:
         else folder
     )
     path = place / RESULTS_FILE
-    refuse_links(session, place, path, place / RESIDUALS)
+    refuse_links(session, place, path, place / RESIDUALS, place / FIELD)
     try:
         text = path.read_text(encoding="utf-8")
         schema = _schema(text)
@@ -103,6 +107,7 @@ def read(folder: Path, name: str, *, residuals: bool = True) -> dict[str, Any]:
         raise DataError(
             f"{path} is not as schema {schema} has it: {error}; fit the session again"
         ) from None
+    fields["field"] = _field(content, plan, place / FIELD)
     if residuals:
         fields["wavefronts"] = tuple(
             _with_residuals(fields["wavefronts"], place / RESIDUALS)
@@ -203,6 +208,11 @@ def _residuals(wavefronts: Sequence[Wavefront]) -> dict[str, npt.NDArray[Any]]:
     }
 
 
+def _field_file(field: FieldModel | None) -> dict[str, bytes]:
+    """Return the file of a field's covariance, where there is a field."""
+    return {} if field is None else {FIELD: npz.packed({COVARIANCE: field.covariance})}
+
+
 def _others(session: Path) -> str:
     names = sorted(path.parent.name for path in session.glob(f"*/{RESULTS_FILE}"))
     return f"; results there are: {', '.join(names)} (--name)" if names else ""
@@ -224,6 +234,22 @@ def _with_residuals(wavefronts: Sequence[Wavefront], path: Path) -> Iterator[Wav
                 w = replace(w, residuals=Residuals(*(arrays[name] for name in names)))
             yield w
     except (OSError, ValueError) as error:
+        raise DataError(f"cannot read {path}: {error}; fit the session again") from None
+
+
+def _field(content: Content, plan: Plan, path: Path) -> FieldModel | None:
+    """Return the wavefront over the field, with its covariance in a file. Raises DataError."""
+    if (entry := content.field) is None:
+        return None
+    most_bytes = MOST_NUMBER_BYTES * len(entry.terms) ** 2
+    try:
+        arrays = npz.unpacked(path.read_bytes(), {COVARIANCE: most_bytes}.get)
+        return entry.model(
+            np.array(arrays[COVARIANCE], float),
+            plan.sensor.pixel_pitch_um,
+            plan.reference_wavelength_nm,
+        )
+    except (OSError, ValueError, KeyError) as error:
         raise DataError(f"cannot read {path}: {error}; fit the session again") from None
 
 

@@ -51,24 +51,24 @@ def sampled(
 
 
 def stacked(fit: LensFit, unknowns: Floats) -> tuple[Floats, Floats]:
-    """(rows, unknowns) slopes and (rows,) misfits, whitened, of data and priors: all columns, then each group's in turn."""
+    """(rows, unknowns) slopes and (rows,) misfits, whitened, of data and priors: all columns, then each block's in turn."""
     model, measured = fit.model, fit.measured
-    common, groups, own = (
+    common, blocks, own = (
         len(model.columns),
-        int(model.groups.max()) + 1,
+        int(model.blocks.max()) + 1,
         len(model.local_columns),
     )
-    theta, local = unknowns[:common], unknowns[common:].reshape(groups, own)
+    theta, local = unknowns[:common], unknowns[common:].reshape(blocks, own)
     slopes, own_slopes = model.slopes(theta, local)
-    wide = np.zeros((*slopes.shape[:2], groups, own))
-    wide[np.arange(len(slopes)), :, model.groups] = own_slopes
+    wide = np.zeros((*slopes.shape[:2], blocks, own))
+    wide[np.arange(len(slopes)), :, model.blocks] = own_slopes
     whole = np.concatenate([slopes, wide.reshape(*slopes.shape[:2], -1)], axis=2)[
         measured.used
     ]
     rest = (measured.values - model.predicted(theta, local))[measured.used]
     noise = measured.covariance[measured.used] + np.diag(model.scatter())
     whitening = np.linalg.inv(np.linalg.cholesky(noise))
-    columns = [*model.columns, *(model.local_columns * groups)]
+    columns = [*model.columns, *(model.local_columns * blocks)]
     stds = np.array([column.prior_std for column in columns])
     away = np.array([column.value for column in columns]) - unknowns
     rows = np.concatenate([(whitening @ whole).reshape(-1, len(stds)), np.diag(1 / stds)])
@@ -131,7 +131,7 @@ def test_the_covariance_of_a_prediction_is_that_of_the_dense_equations(
     """Of an observation that is left out: of all columns together, and the scatter of the laws."""
     fit = fit_lens(*sampled(tiles))
     common, own = len(fit.theta), len(fit.model.local_columns)
-    places = [*range(common), *(common + fit.model.groups[OUT] * own + np.arange(own))]
+    places = [*range(common), *(common + fit.model.blocks[OUT] * own + np.arange(own))]
     whole = np.concatenate([fit.solved.slopes[OUT], fit.solved.own_slopes[OUT]], axis=1)
     expected = whole @ dense_covariance(fit)[np.ix_(places, places)] @ whole.T + np.diag(
         fit.model.scatter()
@@ -156,7 +156,7 @@ def test_what_the_others_predict_is_their_dense_estimate(tiles: Tiles) -> None:
 
 
 def blocks(rng: np.random.Generator) -> tuple[Normal, Floats]:
-    """Random normal equations of three columns in common and two in each of four groups, and the whole matrix."""
+    """Random normal equations of three columns in common and two in each of four blocks, and the whole matrix."""
     rows = rng.normal(size=(4, 9, 5))
     whole = np.zeros((11, 11))
     for group, each in enumerate(rows):

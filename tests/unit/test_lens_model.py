@@ -77,15 +77,23 @@ def true_values(model: LensModel, theta: Any, own: Any, k: int) -> Any:
     colour = 0.0 if channel == "G" else at("axial colour", channel)
     reference = at("best focus") + at("tape")
     f, n, mp = at("focal length"), at("f-number"), np.exp(at("pupil magnification"))
-    own_focus, own_size, *own_modes = own if len(own) else (0.0, 0.0)
-    waves, cone, scale = laws(range_mm, reference + colour + own_focus, reference, f, n, mp)
+    waves, cone, scale = laws(range_mm, reference + colour, reference, f, n, mp)
     scale = (
         scale
         + at("target size")
-        + own_size
         + (0.0 if channel == "G" else at("lateral colour", channel))
     )
-    upper = own_modes or [at("common mode", j) + at("mode", channel, j) for j in NOLL[1:]]
+    upper = [at("common mode", j) + at("mode", channel, j) for j in NOLL[1:]]
+    if len(own):
+        # Noll 2 and 3 of the field are 2x and 2y
+        colours = iter(own)
+        for k, height in ((2, 2 * here.place[1]), (3, 2 * here.place[0])):
+            waves, *upper = (
+                mode + height * (at("mode over the field", k, j) + next(colours))
+                for mode, j in zip([waves, *upper], NOLL, strict=True)
+            )
+            cone = cone + height * at("cone over the field", k)
+            scale = scale + height * at("scale over the field", k)
     wavelength = at("wavelength", channel) + (at("wavelength") if common_light else 0.0)
     modes = [mode * np.exp(-wavelength) for mode in (waves, *upper)]
     pitch = at("pixel pitch") if model.laws.mistaken == (PIXEL_PITCH, ()) else 0.0
@@ -93,15 +101,15 @@ def true_values(model: LensModel, theta: Any, own: Any, k: int) -> Any:
 
 
 def near_focus(model: LensModel) -> tuple[Floats, Floats]:
-    """A point, (columns,) and (groups, local columns), that is off in everything."""
-    rng, groups = np.random.default_rng(1), int(model.groups.max()) + 1
+    """A point, (columns,) and (blocks, local columns), that is off in everything."""
+    rng, blocks = np.random.default_rng(1), int(model.blocks.max()) + 1
     theta = np.array([505.0 if c.kind == FOCUS else c.value for c in model.columns])
     theta = theta + np.array(
         [STEPS_LABEL.get(c.kind, 1e-2) for c in model.columns]
     ) * rng.normal(size=len(theta))
     own = np.array(
         [STEPS_LABEL.get(c.kind, 1e-2) for c in model.local_columns]
-    ) * rng.normal(size=(groups, len(model.local_columns)))
+    ) * rng.normal(size=(blocks, len(model.local_columns)))
     return theta, own
 
 
@@ -119,7 +127,7 @@ def test_slopes_are_those_of_the_printed_laws(model: LensModel) -> None:
     theta, own = near_focus(model)
     slopes, own_slopes = model.slopes(theta, own)
     predicted = model.predicted(theta, own)
-    for k, group in enumerate(model.groups):
+    for k, group in enumerate(model.blocks):
         np.testing.assert_allclose(
             predicted[k], true_values(model, theta, own[group], k), rtol=1e-12
         )
@@ -151,18 +159,15 @@ def test_light_as_stated_has_no_slope_by_its_wavelength() -> None:
     np.testing.assert_array_equal(model.true_slopes(slopes), others)
 
 
-def test_sums_over_groups_are_those_of_each_channel_and_tile() -> None:
+def test_sums_over_blocks_are_those_of_each_channel() -> None:
     shuffled = np.random.default_rng(3).permutation(27)
     readings = tiled().readings
     model = replace(tiled(), readings=tuple(readings[k] for k in shuffled))
     rows = np.random.default_rng(4).normal(size=(27, 2))
-    sums = model.by_group(rows)
+    sums = model.by_block(rows)
     for k, one in enumerate(model.readings):
-        alike = [
-            (r.key.channel, r.key.tile) == (one.key.channel, one.key.tile)
-            for r in model.readings
-        ]
-        np.testing.assert_allclose(sums[model.groups[k]], rows[alike].sum(axis=0))
+        alike = [r.key.channel == one.key.channel for r in model.readings]
+        np.testing.assert_allclose(sums[model.blocks[k]], rows[alike].sum(axis=0))
 
 
 def test_a_key_that_is_there_twice_is_named() -> None:

@@ -25,6 +25,7 @@ from tests.lens_samples import (
     measured_of,
     members,
     moved,
+    over_the_field,
     reading,
     stated,
     turned,
@@ -333,20 +334,20 @@ def test_modes_that_change_from_range_to_range_are_not_held_to_be_the_same() -> 
 
 
 def tiles(side: int, rng: np.random.Generator) -> list[Observed]:
-    """Three ranges and colours of tiles, each with a focus and with modes of its own."""
+    """Three ranges and colours of tiles, whose defocus and modes are polynomials of the place."""
     every = []
     for tile in np.ndindex(side, side):
-        focus, modes = (
-            2060.0 + rng.normal(0, 20.0),
-            dict(zip(MODES, rng.normal(0, 0.05, 3).tolist(), strict=True)),
-        )
         for c in COLOURS:
             for r in RANGES[::2]:
-                of = measured(np.array(laws(r, focus, 2060.0, 70.0, 2.8, 0.985)), modes)
+                at = reading(r, c, tile, (side, side))
+                field = over_the_field(np.random.default_rng(3), (4, *MODES), at.place)
+                values = np.array(laws(r, 2060.0, 2060.0, 70.0, 2.8, 0.985))
+                values[0] += field.pop(4)
+                of = measured(values, field)
                 drawn = replace(
                     of, values=rng.multivariate_normal(of.values, of.covariance)
                 )
-                every.append(Observed(reading(r, c, tile), (Candidate(drawn),)))
+                every.append(Observed(at, (Candidate(drawn),)))
     return every
 
 

@@ -1,0 +1,132 @@
+"""Columns of the field's expansion: how the modes, the cone and the scale of a tile depend on its place in the frame.
+
+The mean over the field, or for defocus the middle of the frame, has the columns of an untiled session; here are the field's Zernike polynomials from tilt on, each times
+a mode, the cone or the scale. Every kind and order of them has a standard deviation of its own, which follows from the session:
+the marginal likelihood of the observations is largest, and an order that is not there tends to 0. So no order has to be chosen
+(Tipping, J. Mach. Learn. Res. 1, 211 (2001); `docs/method/session.md`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from math import inf
+
+import numpy as np
+
+from labkit.estimation.laws import (
+    FIELD,
+    FIELD_COLOUR,
+    FIELD_CONE,
+    FIELD_MODE,
+    FIELD_SCALE,
+    Column,
+)
+from labkit.estimation.settings import SETTINGS
+from labkit.optics.field import field_terms
+from labkit.optics.wavefront import DEFOCUS, modes_at
+from labkit.optics.zernike import noll_to_nm
+from labkit.plan.tables import ENGRAVED_F_NUMBER
+from labkit.types import Floats
+
+Family = tuple[str, int, int, bool]
+"""Kind of a column, radial order in the field, radial order in the pupil (0 for cone and scale), and whether the azimuthal
+orders are alike: a lens that is rotationally symmetric has no other terms."""
+
+BEFORE: Mapping[str, float] = {
+    FIELD_MODE: SETTINGS.field_waves,
+    FIELD_COLOUR: SETTINGS.colour_modes_std,
+    FIELD_CONE: ENGRAVED_F_NUMBER,
+    FIELD_SCALE: SETTINGS.loose,
+}
+"""Standard deviation of each kind before the session."""
+
+
+def usual_order(tiles: int) -> int:
+    """Return the largest radial order with no more terms than there are tiles, and no larger than `Settings.field_order`."""
+    orders = range(1, SETTINGS.field_order + 1)
+    return max((n for n in orders if len(field_terms(n)) <= tiles), default=0)
+
+
+def common_columns(
+    order: int, noll: Sequence[int], spread: Mapping[Family, float]
+) -> Iterator[Column]:
+    """Yield the columns that all channels share: modes, cone and scale times the field's polynomials up to an order.
+
+    spread: standard deviations by family, where they differ from those before the session
+    """
+    for k in field_terms(order)[1:]:
+        for j in noll:
+            yield _column(FIELD_MODE, (k, j), spread)
+        yield _column(FIELD_CONE, (k,), spread)
+        yield _column(FIELD_SCALE, (k,), spread)
+
+
+def own_columns(
+    order: int, noll: Sequence[int], spread: Mapping[Family, float]
+) -> Iterator[Column]:
+    """Yield the columns of each channel: what it adds to the modes of all."""
+    for k in field_terms(order)[1:]:
+        for j in noll:
+            yield _column(FIELD_COLOUR, (k, j), spread)
+
+
+def family(column: Column) -> Family | None:
+    """Return the family of a column; None for columns of other kinds."""
+    if column.kind not in (*FIELD, FIELD_COLOUR):
+        return None
+    field, *pupil = (noll_to_nm(int(j)) for j in column.name)
+    (n, m), (order, azimuth) = field, pupil[0] if pupil else (0, 0)
+    return column.kind, n, order, abs(m) == abs(azimuth)
+
+
+def design(
+    columns: Sequence[Column], places: Floats, noll: Sequence[int], values: int
+) -> Floats:
+    """Return derivatives (n, values, columns) of the values of observations by columns of the field; 0 for other columns.
+
+    places : (n, 2) as in `Reading.place`
+    values : number of values of an observation: the modes first, cone and scale last
+    """
+    rows = np.zeros((len(places), values, len(columns)))
+    for at, column in enumerate(columns):
+        if family(column) is None:
+            continue
+        k, *pupil = (int(j) for j in column.name)
+        last = {FIELD_CONE: values - 2, FIELD_SCALE: values - 1}
+        row = noll.index(pupil[0]) if pupil else last[column.kind]
+        rows[:, row, at] = modes_at((k,), places[:, 1], places[:, 0])[0]
+        if pupil == [DEFOCUS]:
+            rows[:, row, at] -= in_the_middle(k)
+    return rows
+
+
+def in_the_middle(k: int) -> float:
+    """Return a field polynomial in the middle of the frame, for which best focus is stated."""
+    return float(modes_at((k,), np.zeros(1), np.zeros(1))[0, 0])
+
+
+def spreads(
+    columns: Sequence[Column], values: Floats, variances: Floats
+) -> dict[Family, float]:
+    """Return the standard deviation of each family by estimates (columns,) and their variances: a step of expectation
+    maximisation."""
+    found: dict[Family, list[float]] = {}
+    for column, value, variance in zip(columns, values, variances, strict=True):
+        if (of := family(column)) is not None:
+            found.setdefault(of, []).append(float(value**2 + variance))
+    least = SETTINGS.defocus_floor_waves
+    return {of: max(float(np.mean(squares)) ** 0.5, least) for of, squares in found.items()}
+
+
+def change(before: Mapping[Family, float], after: Mapping[Family, float]) -> float:
+    """Return the largest relative change of a standard deviation; infinite for other families."""
+    if before.keys() != after.keys():
+        return inf
+    return max((abs(after[of] / before[of] - 1) for of in after), default=0.0)
+
+
+def _column(kind: str, name: tuple[int, ...], spread: Mapping[Family, float]) -> Column:
+    column = Column(kind, BEFORE[kind], name=name)
+    of = family(column)
+    assert of is not None
+    return Column(kind, spread.get(of, BEFORE[kind]), name=name)
