@@ -12,7 +12,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
 
-from labkit.key import Key, Tile
+from labkit.key import Key
 from labkit.types import JSON
 from labkit.uncertain import Uncertain
 
@@ -301,25 +301,9 @@ def found(
     )
 
 
-def tiles_not_found(range_mm: float | None, absent: Sequence[Tile], every: int) -> Finding:
-    """Return the finding that some of a grid's tiles are not found at a range."""
-    words = {"at": _at(range_mm), "named": ", ".join(map(str, absent))}
-    tiles = [list(tile) for tile in absent]
-    count = len(tiles)
-    return found(
-        "tiles-not-found",
-        None,
-        words,
-        range_mm=range_mm,
-        tiles=tiles,
-        count=count,
-        every=every,
-    )
-
-
 def flats_of_another_range(range_mm: float | None, taken_mm: float | None) -> Finding:
     """Return the finding that the nearest range's flats serve a range without flats."""
-    words = {"where": _at(range_mm), "taken": _at(taken_mm)}
+    words = {"where": at_range(range_mm), "taken": at_range(taken_mm)}
     return found(
         "flats-of-another-range", None, words, range_mm=range_mm, taken_mm=taken_mm
     )
@@ -328,7 +312,11 @@ def flats_of_another_range(range_mm: float | None, taken_mm: float | None) -> Fi
 def flats_partly_unlit(range_mm: float | None, unlit: float) -> Finding:
     """Return the finding that a share of the frame, 0 to 1, is unlit in the flats of a range."""
     return found(
-        "flats-partly-unlit", None, {"where": _at(range_mm)}, range_mm=range_mm, unlit=unlit
+        "flats-partly-unlit",
+        None,
+        {"where": at_range(range_mm)},
+        range_mm=range_mm,
+        unlit=unlit,
     )
 
 
@@ -516,5 +504,5 @@ def _percent(share: float) -> str:
     return f"{float(f'{100 * share:.2g}'):g}"
 
 
-def _at(range_mm: float | None) -> str:
+def at_range(range_mm: float | None) -> str:
     return " without a range" if range_mm is None else f" at {range_mm:g} mm"

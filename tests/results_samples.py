@@ -88,7 +88,9 @@ def a_wavefront(
         "test": ACCEPTED,
         "seconds": 4.2,
         "frames": (f"target_{range_mm}_{channel}.dng",),
-        "placement": Placement((10, 20), (24, 30), np.zeros((2, 4, 2))),
+        "placement": Placement(
+            (10, 20), (24, 30), np.array([[[0, 0], [0, 9], [9, 9], [9, 0.0]]] * 2)
+        ),
         "residuals": noise(),
     }
     return Wavefront(**fields | changed)
@@ -159,6 +161,7 @@ def full_results() -> Results:
                 spectrum=BROAD,
                 residual_spectrum=left,
                 rim=CUT,
+                tile=(0, 1),
             ),
             a_wavefront(channel="B", defocus=0.09, test=test, spectrum=BROAD, rim=CUT),
         ),
@@ -169,6 +172,7 @@ def full_results() -> Results:
             ]
         ),
         common=COMMON,
+        field=a_field(),
         joint={"focal_length_mm": 0.1},
         made_from=MadeFrom("0" * 64, "1" * 64, ranges_mm=(3000.0,), patience_s=120.0),
         model_parts={

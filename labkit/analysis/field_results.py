@@ -25,7 +25,7 @@ from labkit.optics.wavefront import DEFOCUS
 from labkit.plan import Plan
 from labkit.types import Floats
 
-COLOUR_STEP = 1e-4
+LONGITUDINAL_STEP = 1e-4
 """Step of best focus, relative, for the derivative of defocus by longitudinal colour."""
 
 
@@ -79,8 +79,8 @@ def _own(model: LensModel, k: int, j: int) -> Floats:
     names = [(column.kind, column.name) for column in model.local_columns]
     row = np.array([name == (FIELD_COLOUR, (k, j)) for name in names], float)
     if (k, j) == (1, DEFOCUS):
-        for at, (kind, (field, pupil)) in enumerate(names):
-            row[at] = -in_the_middle(field) * (pupil == DEFOCUS)
+        for at, (_, (field, pupil)) in enumerate(names):
+            row[at] = -in_the_middle(int(field)) * (pupil == DEFOCUS)
     return row
 
 
@@ -109,7 +109,7 @@ def _colour_slope(lens: LensFit, channel: str) -> float:
     model, thin = lens.model, as_lens(lens).thin
     zero_mm = lens.value(RANGE_ZERO)
     reference_mm = float(model.best_focus(model.reference) @ lens.theta) + zero_mm
-    step_mm = COLOUR_STEP * reference_mm
+    step_mm = LONGITUDINAL_STEP * reference_mm
 
     def defocus(focus_mm: float) -> float:
         colour = thin.in_colour(focus_mm, reference_mm)

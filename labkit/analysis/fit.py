@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import replace
-from math import inf, prod
+from math import inf
 from pathlib import Path
 
 import numpy as np
@@ -63,6 +63,7 @@ from labkit.session.stated import contradictions
 from labkit.session.verify import altered as altered_files
 from labkit.session.verify import as_error, unused
 from labkit.target import Target, open_target
+from labkit.target_grid import tiles_of
 from labkit.types import Progress, no_progress
 
 FIT_AGAIN = "fit again: that goes on where this one ended"
@@ -136,8 +137,7 @@ def fit(
         name or ("latest" if whole else _partial_name(ranges_mm, channels))
     )
     _refuse_loss(folder, keys)
-    tiles = prod(plan.target.grid or (1,)) if plan.target.of_many else 1
-    workers = min(workers or default_workers(), len(keys) * tiles)
+    workers = min(workers or default_workers(), len(keys) * tiles_of(plan.target))
     target, steps = open_target(plan.target), Steps(progress)
     together = None
     with fitted_alone(folder):

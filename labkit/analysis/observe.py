@@ -29,7 +29,7 @@ from labkit.finder.find_target import find_target, grey_image
 from labkit.finder.lattice import find_tiles
 from labkit.finder.plausibility import Sight, refuse_contradictions
 from labkit.finder.surround import surround_level
-from labkit.findings import Finding, each_once, found, tiles_not_found
+from labkit.findings import Finding, at_range, each_once, found
 from labkit.imaging.brightness import Brightness
 from labkit.imaging.warp import Pose
 from labkit.key import Key, Tile, same_range
@@ -41,6 +41,7 @@ from labkit.plan import Plan
 from labkit.session.frame import Frame, distinct
 from labkit.session.session import Session
 from labkit.target import Target, open_target
+from labkit.target_grid import open_grid
 from labkit.types import Floats, Progress, no_progress
 
 LEAST_TARGET_PIXELS = 100  # usable ones on the target
@@ -204,13 +205,24 @@ def _tiles_in_all(
     tiles = [
         tile for tile in shots[0].corners_px if all(tile in s.corners_px for s in shots)
     ]
-    if not plan.target.of_many:
+    if (grid := open_grid(plan.target)) is None:
         return tiles, []
-    absent = sorted(set(np.ndindex(plan.target.grid)) - {*tiles})
+    absent = sorted(set(np.ndindex(grid.grid)) - {*tiles})
     if not absent:
         return tiles, []
-    every = len(absent) + len(tiles)
-    return tiles, [tiles_not_found(shots[0].frame.range_mm, absent, every)]
+    range_mm = shots[0].frame.range_mm
+    words = {"at": at_range(range_mm), "named": ", ".join(map(str, absent))}
+    return tiles, [
+        found(
+            "tiles-not-found",
+            None,
+            words,
+            range_mm=range_mm,
+            tiles=[list(tile) for tile in absent],
+            count=len(absent),
+            every=grid.grid[0] * grid.grid[1],
+        )
+    ]
 
 
 def _locate(frame: Frame, plan: Plan, target: Target) -> _Shot:
@@ -220,8 +232,9 @@ def _locate(frame: Frame, plan: Plan, target: Target) -> _Shot:
     try:
         grey = grey_image(mosaic.light, mosaic.pattern)
         scale = _stated_scale(frame, plan)
-        if plan.target.of_many:
-            return _Shot(frame, mosaic, find_tiles(grey, target, plan.target, scale))
+        if (grid := open_grid(plan.target)) is not None:
+            tiles = find_tiles(grey, grid, mm_per_pixel=scale).items()
+            return _Shot(frame, mosaic, dict(tiles))
         return _Shot(frame, mosaic, {None: _found(grey, target, scale)})
     except TargetError as error:
         if other := _other_surround(mosaic, frame, plan):

@@ -1,9 +1,9 @@
 """Columns of the field's expansion: how the modes, the cone and the scale of a tile depend on its place in the frame.
 
-The mean over the field, or for defocus the middle of the frame, has the columns of an untiled session; here are the field's Zernike polynomials from tilt on, each times
-a mode, the cone or the scale. Every kind and order of them has a standard deviation of its own, which follows from the session:
-the marginal likelihood of the observations is largest, and an order that is not there tends to 0. So no order has to be chosen
-(Tipping, J. Mach. Learn. Res. 1, 211 (2001); `docs/method/session.md`).
+The mean over the field, or for defocus the middle of the frame, has the columns of an untiled session. Here are the field's
+Zernike polynomials from tilt on, each times a mode, the cone or the scale. Every kind and order of them has a standard
+deviation of its own, for which the marginal likelihood of the session is largest: of an order that is not there it tends to 0.
+So no order has to be chosen (M. E. Tipping, J. Mach. Learn. Res. 1, 211 (2001)).
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from math import inf
 import numpy as np
 
 from labkit.estimation.laws import (
-    FIELD,
     FIELD_COLOUR,
     FIELD_CONE,
+    FIELD_KINDS,
     FIELD_MODE,
     FIELD_SCALE,
     Column,
@@ -72,7 +72,7 @@ def own_columns(
 
 def family(column: Column) -> Family | None:
     """Return the family of a column; None for columns of other kinds."""
-    if column.kind not in (*FIELD, FIELD_COLOUR):
+    if column.kind not in (*FIELD_KINDS, FIELD_COLOUR):
         return None
     field, *pupil = (noll_to_nm(int(j)) for j in column.name)
     (n, m), (order, azimuth) = field, pupil[0] if pupil else (0, 0)

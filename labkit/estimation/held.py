@@ -1,8 +1,8 @@
 """The likelihood about a wavefront that is not an optimum: what the frames say of a session's prediction.
 
-Near focus the even modes hardly change a picture to first order (α = 0 is a saddle), and with few photons the nearest optimum may
-be far from the truth, with errors that are too small. About the prediction of all other frames, the likelihood to second order is
-a measurement that the session can use.
+Near focus, even modes hardly change a picture to first order (α = 0 is a saddle). With few photons the nearest optimum may be
+far from the truth there, with errors that are too small. About the prediction of all other frames, the likelihood to second
+order is a measurement that the session can use.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from labkit.estimation.climb import Problem, Start
 from labkit.estimation.expansion import Freed, Opened, camera_prior, wide_enough
 from labkit.estimation.identifiability import inverse
 
-STEPS = 2
+HELD_STEPS = 2
 """Of pose, light and noise: from an optimum a hundredth of a wave away, the second is a hundredth of the first."""
 
 
@@ -35,14 +35,14 @@ def expanded_about(problem: Problem, start: Start, f_number_std: float) -> Freed
     problem, start = wide_enough(problem, start)
     prior = camera_prior(problem.model.optics, f_number_std)
     position = Opened(problem, problem.drawn(start.state), start.state, *prior)
-    for _ in range(STEPS):
+    for _ in range(HELD_STEPS):
         expansion = position.expansion
         change = np.zeros_like(expansion.gradient)
         free = np.arange(expansion.camera.stop, change.size)
         information = expansion.information[np.ix_(free, free)]
         change[free] = inverse(information) @ expansion.gradient[free]
         position = position.moved(change)
-    freed = position.freed(STEPS, True)
+    freed = position.freed(HELD_STEPS, True)
     step, _ = freed.expansion.newton(position.precision)
     gained = 0.5 * float(step @ freed.expansion.gradient)
     solution = replace(freed.solution, objective=freed.solution.objective + gained)

@@ -40,10 +40,10 @@ GEOMETRY = (
     SIZE,
     PIXEL_PITCH,
 )
-FIELD = (FIELD_MODE, FIELD_CONE, FIELD_SCALE)
+FIELD_KINDS = (FIELD_MODE, FIELD_CONE, FIELD_SCALE)
 """Terms of the field's expansion beyond its mean; `FIELD_COLOUR` is what each channel adds to those of the modes."""
 
-OPEN = (FOCUS, AXIAL_COLOUR, LATERAL_COLOUR, PART, COMMON_MODE, MODE, *FIELD)
+OPEN = (FOCUS, AXIAL_COLOUR, LATERAL_COLOUR, PART, COMMON_MODE, MODE, *FIELD_KINDS)
 """Columns that are unknown before the session: their prior is not a measurement."""
 
 Name = tuple[str | float, ...]

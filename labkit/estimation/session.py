@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -10,9 +10,9 @@ import numpy as np
 from labkit.errors import FitError
 from labkit.estimation.camera import CameraChoice, Parts, Refits, with_tests
 from labkit.estimation.estimate import Estimate, LocalFit, is_ranged, observed
+from labkit.estimation.first_fits import anchors, worst_predicted
 from labkit.estimation.laws import Laws
 from labkit.estimation.lens_fit import fit_lens
-from labkit.estimation.lens_model import LensModel
 from labkit.estimation.local import Found, Guesses, Optimum
 from labkit.estimation.observation import Observation
 from labkit.estimation.searches import Searches
@@ -144,7 +144,7 @@ class _Loop:
         ]
         left = [k for k in places if k not in self.found]
         if not self.found:
-            self.anchors = self._anchors(left) if left else []
+            self.anchors = anchors(self.observations, left) if left else []
             return dict.fromkeys(self.anchors, self._from_nothing(deep=False))
         if doubtful := self._undecided():
             return dict.fromkeys(doubtful, self._from_nothing(deep=True))
@@ -152,27 +152,6 @@ class _Loop:
         if left:
             return self._predicted(left, selection)
         return self._badly_predicted(selection) if selection is not None else {}
-
-    def _anchors(self, places: Sequence[int]) -> list[int]:
-        """Return the reference channel at the nearest and the farthest range; one observation if ranges are unknown.
-
-        Of tiles, the one nearest to the middle of the frame.
-        """
-        channels = [self.observations[k].channel for k in places]
-        first = "G" if "G" in channels else channels[0]
-        of = [k for k in places if self.observations[k].channel == first]
-        inner = min(of, key=lambda k: np.hypot(*self.observations[k].place))
-        of = [k for k in of if self.observations[k].tile == self.observations[inner].tile]
-        ranges = {
-            k: r for k in of if (r := self.observations[k].measured_range_mm) is not None
-        }
-        if not ranges:
-            return of[:1]
-        return list(
-            dict.fromkeys(
-                [min(ranges, key=ranges.__getitem__), max(ranges, key=ranges.__getitem__)]
-            )
-        )
 
     def _undecided(self) -> list[int]:
         """Return the anchors if none is explained and they do not confirm each other.
@@ -234,24 +213,11 @@ class _Loop:
             other = clearest.setdefault(group, k)
             if abs(waves[at]) > abs(predicted[self.rows[other], at]):
                 clearest[group] = k
-        spread = covariance[:, at, at]
-        for k in self._worst_predicted(clearest.values(), selection.lens.model, spread):
+        variances = {k: covariance[self.rows[k], at, at] for k in clearest.values()}
+        terms = len(field_terms(selection.lens.model.field_order))
+        for k in worst_predicted(self.observations, variances, terms):
             sure[k] = self._guess(modes=(predicted[self.rows[k], : len(self._noll)],))
         return sure
-
-    def _worst_predicted(
-        self, places: Iterable[int], model: LensModel, variance: Floats
-    ) -> list[int]:
-        """Return, of each channel, as many observations as its wavefront has terms over the field: one without tiles.
-
-        variance : (n,) of predicted defocus; the largest come first
-        """
-        ranked = sorted(places, key=lambda k: -variance[self.rows[k]])
-        chosen = list[int]()
-        for channel in model.channels:
-            of = [k for k in ranked if self.observations[k].channel == channel]
-            chosen += of[: len(field_terms(model.field_order))]
-        return chosen
 
     def _badly_predicted(self, selection: Selection) -> dict[int, Guesses]:
         """Return refits from the prediction of all others: of outliers, and of members with unexplained residuals.

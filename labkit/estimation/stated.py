@@ -61,6 +61,7 @@ class Stated:
             },
             reference_nm=plan.reference_wavelength_nm,
             convention=plan.fit.convention,
+            field_order=plan.field.order,
         )
 
 

@@ -94,13 +94,13 @@ class FieldEntry(Entry):
             raise ValueError(
                 "field.terms are not of every channel, field and pupil in turn"
             )
-        waves = [term.waves.value for term in self.terms]
+        waves = np.array([term.waves.value for term in self.terms], float)
         return FieldModel(
             FieldFrame(self.photograph_px, pitch_um),
             channels,
             field,
             noll,
-            np.reshape(waves, (len(channels), len(field), len(noll))).astype(float),
+            waves.reshape(len(channels), len(field), len(noll)),
             covariance,
             tuple(self.wavelengths_nm.values()),
             reference_nm,

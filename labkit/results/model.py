@@ -119,6 +119,15 @@ class Placement:
     shape_px: tuple[int, int]
     corners_px: Floats
 
+    @property
+    def centre_px(self) -> tuple[float, float]:
+        """(row, column) of the target's middle, where its diagonals cross, as a mean over the photographs."""
+        corners = np.append(self.corners_px, np.ones((len(self.corners_px), 4, 1)), axis=2)
+        first, second, third, last = np.moveaxis(corners, 1, 0)
+        middle = np.cross(np.cross(first, third), np.cross(second, last))
+        row, column = np.mean(middle[:, :2] / middle[:, 2:], axis=0)
+        return float(row), float(column)
+
 
 @dataclass(frozen=True)
 class Wavefront:
@@ -212,19 +221,6 @@ class Wavefront:
     def key(self) -> Key:
         """The identity of this wavefront; ``str(w.key)`` names its arrays in files: ``3200_G``."""
         return Key(self.range_mm, self.channel, self.tile)
-
-    @property
-    def centre_px(self) -> list[float] | None:
-        """(row, column) of the target's middle, the mean over the photographs, in pixels of the raw file."""
-        if self.placement is None:
-            return None
-        # the diagonals cross there
-        corners = np.append(
-            self.placement.corners_px, np.ones((len(self.poses), 4, 1)), axis=2
-        )
-        first, second, third, last = np.moveaxis(corners, 1, 0)
-        middle = np.cross(np.cross(first, third), np.cross(second, last))
-        return np.mean(middle[:, :2] / middle[:, 2:], axis=0).tolist()
 
     @property
     def std(self) -> Floats:

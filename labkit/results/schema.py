@@ -18,13 +18,12 @@ from pydantic import Field, ValidationError
 from labkit.errors import LONGEST_VALUE, shown
 from labkit.findings import NOTE, Finding
 from labkit.key import Key
-from labkit.optics.rim import ROUND, Circle, Cut, Diaphragm, Rim
+from labkit.optics.rim import ROUND
 from labkit.optics.spectrum import Spectrum
 from labkit.plan import Plan
 from labkit.results.field_entry import FieldEntry
 from labkit.results.kept import (
     Corners,
-    Degrees,
     Entry,
     Finite,
     FNumber,
@@ -67,6 +66,7 @@ from labkit.results.model import (
     ResidualSpectrum,
     Wavefront,
 )
+from labkit.results.pupil_entry import KeptRim
 from labkit.results.verdicts import confirmed
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
@@ -179,54 +179,6 @@ class ModelEntry(Entry):
     ) = None
 
 
-class BladesEntry(Entry):
-    """A diaphragm."""
-
-    blades: Annotated[int, Field(ge=3, le=20)]
-    turn: Degrees = Field(alias="turn_deg")
-    roundness: Annotated[Finite, Field(ge=0, le=1)]
-
-
-class CircleEntry(Entry):
-    """A circle that cuts the pupil."""
-
-    shift: Annotated[Finite, Field(ge=0, le=5)]
-    size: Annotated[Finite, Field(gt=0, le=10)] = Field(alias="radius")
-    direction: Degrees = Field(alias="direction_deg")
-
-
-def _cut(entry: BladesEntry | CircleEntry) -> Cut:
-    """Return an edge of the pupil. Raises ValueError for a circle off the pupil."""
-    if isinstance(entry, BladesEntry):
-        return entry.made(Diaphragm)
-    if entry.shift >= entry.size:
-        raise ValueError(f"a circle {entry.shift:g} off, of radius {entry.size:g}")
-    return entry.made(Circle)
-
-
-def _cut_entry(cut: Cut) -> dict[str, Any]:
-    entry = BladesEntry if isinstance(cut, Diaphragm) else CircleEntry
-    return entry.of(cut).written()
-
-
-class PupilEntry(Entry):
-    """The rim of a pupil that is no clear disc."""
-
-    cuts: Annotated[
-        tuple[Annotated[Cut, Kept(BladesEntry | CircleEntry, _cut, _cut_entry)], ...],
-        Field(max_length=5),
-    ] = ()
-    uneven: Annotated[tuple[Finite, ...], Field(max_length=4)] = ()
-    obstructed: Annotated[Finite, Field(ge=-0.9, le=0.9)] = 0.0
-
-
-def _rim(entry: PupilEntry) -> Rim:
-    """Return the rim. Raises ValueError where it is no closed curve."""
-    if sum(map(abs, entry.uneven)) >= 1:
-        raise ValueError(f"uneven = {entry.uneven}: the rim is no closed curve")
-    return entry.made(Rim)
-
-
 class WavefrontEntry(Entry):
     """A wavefront. Before schema 3 its identity is its range and channel."""
 
@@ -239,10 +191,7 @@ class WavefrontEntry(Entry):
         Annotated[tuple[tuple[Nanometres, Finite], ...], Field(min_length=1, max_length=99)]
         | None
     ) = None
-    rim: (
-        Annotated[Rim, Kept(PupilEntry, _rim, lambda rim: PupilEntry.of(rim).written())]
-        | None
-    ) = Field(default=None, alias="pupil")
+    rim: KeptRim | None = Field(default=None, alias="pupil")
     f_number: FNumber | None = None
     working_f_number: Annotated[Uncertain, uncertain()] | None = Field(
         default=None, alias="f_number_working"
@@ -301,7 +250,7 @@ class WavefrontEntry(Entry):
             errors_known=confirmed(w, results.wavefronts),
             pose=w.poses[0],
             test=w.test and replace(w.test, others=w.test.others[:MOST_OTHERS]),
-            **({} if w.tile is None else {"tile": w.tile, "centre_px": w.centre_px}),
+            **_place(w),
             **_verdicts(w),
             **({} if w.placement is None else _attributes(w.placement)),
         )
@@ -351,6 +300,13 @@ class WavefrontEntry(Entry):
         if self.corners_px is None:
             return None
         return Placement(self.origin_px, shape_px, self.corners_px)
+
+
+def _place(w: Wavefront) -> dict[str, Any]:
+    """Return the entries that say where a tile is in the frame; none of wavefronts of the whole frame."""
+    if w.tile is None or w.placement is None:
+        return {}
+    return {"centre_px": w.placement.centre_px}
 
 
 def _attributes(placement: Placement) -> dict[str, Any]:

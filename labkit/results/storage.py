@@ -38,7 +38,7 @@ PSF_SAMPLES_PER_AIRY = 6.0  # of the shortest wavelength's lambda N: three times
 PSF_HALF_WIDTH_AIRY = (
     32.0  # of the longest wavelength's lambda N: 0.6 % of the light lies beyond
 )
-FIELD = "field.npz"
+FIELD_FILE = "field.npz"
 COVARIANCE = "covariance"  # of the field's coefficients
 RESIDUAL_PARTS = ("data", "model", "sigma")  # of residuals
 MOST_NUMBER_BYTES = 8  # of a number
@@ -84,7 +84,7 @@ def read(folder: Path, name: str, *, residuals: bool = True) -> dict[str, Any]:
         else folder
     )
     path = place / RESULTS_FILE
-    refuse_links(session, place, path, place / RESIDUALS, place / FIELD)
+    refuse_links(session, place, path, place / RESIDUALS, place / FIELD_FILE)
     try:
         text = path.read_text(encoding="utf-8")
         schema = _schema(text)
@@ -107,7 +107,7 @@ def read(folder: Path, name: str, *, residuals: bool = True) -> dict[str, Any]:
         raise DataError(
             f"{path} is not as schema {schema} has it: {error}; fit the session again"
         ) from None
-    fields["field"] = _field(content, plan, place / FIELD)
+    fields["field"] = _field(content, plan, place / FIELD_FILE)
     if residuals:
         fields["wavefronts"] = tuple(
             _with_residuals(fields["wavefronts"], place / RESIDUALS)
@@ -210,7 +210,7 @@ def _residuals(wavefronts: Sequence[Wavefront]) -> dict[str, npt.NDArray[Any]]:
 
 def _field_file(field: FieldModel | None) -> dict[str, bytes]:
     """Return the file of a field's covariance, where there is a field."""
-    return {} if field is None else {FIELD: npz.packed({COVARIANCE: field.covariance})}
+    return {} if field is None else {FIELD_FILE: npz.packed({COVARIANCE: field.covariance})}
 
 
 def _others(session: Path) -> str:

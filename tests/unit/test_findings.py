@@ -86,6 +86,20 @@ SAMPLES = [
     found("no-flat-frames"),
     flats_of_another_range(2150.0, 2200.0),
     flats_partly_unlit(2000.0, 0.125),
+    found(
+        "tiles-not-found",
+        None,
+        {"at": " at 1180 mm", "named": "(0, 1)"},
+        range_mm=1180.0,
+        tiles=[[0, 1]],
+        count=1,
+        every=6,
+    ),
+    found(
+        "tile-left-out",
+        Key(1180.0, "G", (0, 2)),
+        {"why": "t.dng: only 12 usable pixels of channel G on the target"},
+    ),
     found("gain-not-measured"),
     found("results-corrupt", aside="results/latest/results.json.corrupt"),
     found(
