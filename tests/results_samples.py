@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from labkit.findings import Finding, found
+from labkit.optics.field import FieldFrame
 from labkit.optics.rim import Circle, Diaphragm, Rim
 from labkit.optics.spectrum import Spectrum
 from labkit.plan import Plan
@@ -25,6 +26,7 @@ from labkit.results.common import CommonNumbers, StatedNumber
 from labkit.results.made_from import MadeFrom
 from labkit.results.model import OtherOptimum, PartTried, ResidualSpectrum
 from labkit.uncertain import Uncertain
+from tests.field_samples import a_field
 from tests.plans import PORTRAIT, plan_text
 
 PLAN = Plan.parse(
@@ -163,7 +165,14 @@ def full_results() -> Results:
                 rim=CUT,
                 tile=(0, 1),
             ),
-            a_wavefront(channel="B", defocus=0.09, test=test, spectrum=BROAD, rim=CUT),
+            a_wavefront(
+                channel="B",
+                defocus=0.09,
+                test=test,
+                spectrum=BROAD,
+                rim=CUT,
+                tile=(1, 1),
+            ),
         ),
         plan=PLAN.replace(
             channel=[
@@ -172,7 +181,7 @@ def full_results() -> Results:
             ]
         ),
         common=COMMON,
-        field=a_field(),
+        field=a_field(frame=FieldFrame((512, 768), PLAN.sensor.pixel_pitch_um)),
         joint={"focal_length_mm": 0.1},
         made_from=MadeFrom("0" * 64, "1" * 64, ranges_mm=(3000.0,), patience_s=120.0),
         model_parts={

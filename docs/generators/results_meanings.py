@@ -102,6 +102,8 @@ MEANINGS = {
     "wavefronts[].frames": "Photographs that it is of.",
     "wavefronts[].origin_px": "Row and column, in the photograph, of the first pixel that was fitted.",
     "wavefronts[].shape_px": "Rows and columns of the cut that was fitted.",
+    "wavefronts[].tile": "Row and column of the tile; null for the whole frame.",
+    "wavefronts[].centre_px": "Row and column of the tile's middle; of tiles only.",
     "wavefronts[].corners_px": "Corners of the target in each photograph, `[row, column]`, as fitted.",
     "focus": "Best focus and pupil magnification; null where ranges or defocus are missing:",
     "focus.best_focus_mm": "By channel:",
@@ -183,6 +185,33 @@ MEANINGS = {
     "parts_tried[].part": "Its name.",
     "parts_tried[].gain": "Log-likelihood that it would gain, by the likelihood's slope.",
     "parts_tried[].adopted": "Whether it was taken into the model.",
+    "field": (
+        "The wavefront over the frame, where the target is a grid; null without. The coefficients' covariance, in the order of "
+        "the terms, is in `field.npz`:"
+    ),
+    "field.photograph_px": "Rows and columns of the photograph; half its diagonal is the unit of the field's polynomials.",
+    "field.f_number": "Working f-number in the middle of the frame.",
+    "field.f_number_std": "Its standard error.",
+    "field.wavelengths_nm": "Wavelength of each channel:",
+    "field.wavelengths_nm.NAME": "One channel's, nm.",
+    "field.terms": "Terms of the double Zernike expansion, of every channel, field and pupil in turn:",
+    "field.terms[].field": "Noll's number of the polynomial in the place on the sensor.",
+    "field.terms[].pupil": "Noll's number of the mode in the pupil.",
+    "field.terms[].channel": "Name of the channel.",
+    "field.terms[].waves": "Its coefficient:",
+    "field.terms[].waves.value": "Value, waves RMS at the reference wavelength.",
+    "field.terms[].waves.std": "Standard error.",
+    "field.sensor_tilt_um_per_mm": (
+        "Slope of the sensor over the image of the leading channel, down and to the right; positive where the sensor lies "
+        "farther behind its image:"
+    ),
+    "field.sensor_tilt_um_per_mm.value": "Down the rows and along the columns, µm/mm.",
+    "field.sensor_tilt_um_per_mm.covariance": "Their covariance.",
+    "field.curvature_per_mm": (
+        "Distance of the sensor behind its image over the square of the image height:"
+    ),
+    "field.curvature_per_mm.value": "Value, mm per mm².",
+    "field.curvature_per_mm.std": "Standard error.",
     "common": (
         "Numbers of the lens that all ranges share, for `labkit compare`, with their joint covariance; null without a lens:"
     ),

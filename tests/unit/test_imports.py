@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[2]
 LAYERS = {
     "base": [
         *("types", "errors", "key", "mode_groups", "pace", "uncertain", "version"),
-        *("findings", "files", "arrays", "npz", "typed_file", "apart"),
+        *("finding_texts", "findings", "files", "arrays", "npz", "typed_file", "apart"),
         *("sharing", "numerics", "processes", "execute", "cluster", "figure_style"),
         *("spectra", "plan", "target", "target_marks", "target_grid", "target_file"),
     ],
