@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from labkit.finding_texts import TEXTS
 from labkit.findings import (
-    TEXTS,
     UNANSWERED_CODES,
     Finding,
     Moves,
