@@ -25,8 +25,19 @@ NEAR_MM, FAR_MM = 3000.0, 3200.0
 STEP_PX, SIDE_PX = 1200.0, 420.0
 K1_PER_MM2, LATERAL = -5e-5, 2e-4
 TILED = PLAN.replace(
-    target={"grid": list(SHAPE), "pitch_mm": PLAN.target.size_mm * STEP_PX / SIDE_PX}
+    target={"grid": list(SHAPE), "pitch_mm": PLAN.target.size_mm * STEP_PX / SIDE_PX},
+    limits={
+        "tilt_um": 60.0,
+        "coma_waves": 0.03,
+        "curvature_um": 54.0,
+        "lateral_colour_um": 2.0,
+        "distortion_percent": 1.0,
+    },
+    mount={"screws_mm": [[-20, 15], [20, 15], [0, -20]], "screw_pitch_mm": 0.5},
 )
+"""Of the limits one is met, one is missed, and one is as near as the errors."""
+
+PLACE_STD_PX = 0.01
 
 
 def a_model(channels: tuple[str, ...] = ("R", "B"), std: float = 0.003) -> FieldModel:
@@ -79,7 +90,9 @@ def a_tile(
 ) -> Wavefront:
     """A wavefront as the model has it at the tile's place, plus the defocus of its range."""
     model = a_model()
+    rng = np.random.default_rng([int(range_mm), ord(channel), *tile])
     corners = tile_corners_px(tile, range_mm, channel)
+    corners = corners + rng.normal(0, PLACE_STD_PX, corners.shape)
     fitted = model.wavefront(channel, corners.mean(axis=0))
     waves = fitted.waves.copy()
     waves[0] += (range_mm - NEAR_MM) / 190

@@ -17,6 +17,7 @@ from labkit.field.curves import Band, Profile, profiles, usable_frequencies
 from labkit.field.focus_curves import FocusCurve, through_focus
 from labkit.field.limits import Judged, judge_limits
 from labkit.field.places import azimuth_of, detail_deg, field_points
+from labkit.field.session_geometry import corner_numbers, session_geometry
 from labkit.field.surfaces import Surface, focus_um
 from labkit.field.symmetry import Share
 from labkit.field.terms import LensTerms, lens_terms
@@ -127,10 +128,19 @@ def summarise(results: Results, channel: str | None = None) -> FieldSummary:
         {name: lens_terms(model, name) for name in model.channels},
         frequency,
         points_of(model, leading, frequency),
-        judge_limits(results.plan.limits, model, leading),
+        _judged(results, model, leading),
         tiles_of(results, model),
         notes,
     )
+
+
+def _judged(results: Results, model: FieldModel, channel: str) -> tuple[Judged, ...]:
+    """Return the verdicts of the plan's limits, with those on distortion and lateral colour."""
+    if not results.plan.limits.stated:
+        return ()
+    geometry = session_geometry(results)
+    others = {} if geometry is None else corner_numbers(geometry)
+    return judge_limits(results.plan.limits, model, channel, others)
 
 
 def points_of(

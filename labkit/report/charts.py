@@ -132,7 +132,11 @@ def quantile_chart(results: Results, range_mm: float | None) -> Figure:
 
 def residual_quantiles(residuals: Residuals) -> tuple[Floats, Floats, Floats, Floats]:
     """A hundred quantiles, dense in the tails: of the normal law, the 99 % band around them, and of the residuals."""
-    values = residuals.normalised
+    return normal_quantiles(residuals.normalised)
+
+
+def normal_quantiles(values: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """The same of any values in standard errors; those that are not finite are left out."""
     values = np.sort(values[np.isfinite(values)])
     tail = np.unique(np.geomspace(1, max((values.size + 1) // 2, 1), 50).astype(int))
     rank = np.unique(np.concatenate([tail, values.size + 1 - tail]))

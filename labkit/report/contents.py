@@ -51,6 +51,9 @@ SECTIONS = {
     "downloads": "Files",
     "provenance": "Provenance",
 }
+NO_FIELD_TABLES = dict.fromkeys(
+    ("field_table", "limit_table", "places_table", "screw_table")
+)
 OPTIONAL_SECTIONS = {"field", "lens", "budget", "camera", "fits"}
 
 
@@ -92,7 +95,7 @@ def contents(
         "missing": missing_words(results),
         "sources": SOURCES,
         "checks": _checks(whole),
-        "field_table": field.table() if field else None,
+        **(field.tables() if field else NO_FIELD_TABLES),
         "lens_table": lens,
         "focus_table": focus_table(focused, results.reference_wavelength_nm),
         "depth_table": depth_table(curves, results),

@@ -12,16 +12,15 @@ import numpy as np
 import pytest
 
 from labkit.errors import InputError
-from labkit.field.geometry import fit_geometry
+from labkit.field.session_geometry import corner_numbers, session_geometry
 from labkit.field.terms import lens_terms
-from labkit.field.tile_places import TileGrid, tile_places
 from labkit.findings import Finding
 from labkit.key import Key
 from labkit.report.contents import contents
 from labkit.report.field.geometry_charts import distortion_factor, lateral_over
 from labkit.report.field.tables import field_table
 from labkit.report.field.tile_charts import tile_sight
-from labkit.report.html import write_report
+from labkit.report.html import field_artist, write_report
 from labkit.report.photographs import Photographs
 from labkit.report.tiles import central_tile, of_tile, tiles_of
 from labkit.results import Results
@@ -32,7 +31,6 @@ from tests.tiled_samples import (
     LATERAL,
     NEAR_MM,
     SHAPE,
-    TILED,
     a_model,
     tile_corners_px,
     tiled_results,
@@ -88,12 +86,8 @@ def test_tiles_that_no_photograph_shows_are_left_out_too() -> None:
 
 def test_distortion_and_lateral_colour_are_drawn_as_they_are() -> None:
     results = tiled_results()
-    target = TILED.target
-    assert target.grid is not None
-    assert target.pitch_mm is not None
-    grid = TileGrid(target.grid, target.pitch_mm, (target.size_mm, target.size_mm))
-    places = tile_places(results)
-    geometry = fit_geometry(FRAME, grid, places, results.thin_lens, "R")
+    geometry = session_geometry(results)
+    assert geometry is not None
     assert geometry.k1_per_mm2.value == pytest.approx(K1_PER_MM2, rel=0.02)
     at, shift, _ = lateral_over(geometry, "B")
     assert shift == pytest.approx(1e3 * LATERAL * at.each_mm, abs=0.02)
@@ -108,6 +102,45 @@ def test_the_table_has_tilt_curvature_and_coma_of_each_channel() -> None:
     slope = 0.05 * 2 * a_model().um_per_wave / FRAME.radius_mm
     assert rows["Sensor tilt, down"][0].startswith(f"{slope:.3f}")
     assert rows["Constant coma"][0].startswith("0.0361")  # of 0.03 down and 0.02 left
+
+
+def test_limits_screws_and_places_have_their_tables() -> None:
+    results = tiled_results()
+    artist = field_artist(results, results[Key(NEAR_MM, "R", (1, 2))])
+    assert artist is not None
+    tables = artist.tables()
+    limits, screws, places = (
+        tables[name] for name in ("limit_table", "screw_table", "places_table")
+    )
+    assert limits is not None
+    assert {row.cells[0]: row.cells[4] for row in limits.rows} == {
+        "tilt_um": "pass",
+        "coma_waves": "fail",
+        "curvature_um": "cannot tell",
+        "distortion_percent": "fail",
+        "lateral_colour_um": "fail",
+    }
+    assert screws is not None
+    # the sensor recedes to the left and down: the screw there goes towards the lens
+    assert [row.cells[2][0] == "−" for row in screws.rows] == [True, False, False]
+    assert [row.cells[3] for row in screws.rows].count("none") == 1
+    assert places is not None
+    by_name = {row.cells[0]: row.cells[2] for row in places.rows}
+    printed = by_name["Distortion, k₁"].split("\N{NO-BREAK SPACE}")[0]
+    assert float(printed.replace("−", "-")) == pytest.approx(1e6 * K1_PER_MM2, rel=0.02)
+
+
+def test_distortion_and_lateral_colour_in_the_corners_by_closed_forms() -> None:
+    geometry = session_geometry(tiled_results())
+    assert geometry is not None
+    corners = corner_numbers(geometry)
+    percent = 100 * K1_PER_MM2 * FRAME.radius_mm**2
+    for number in corners["distortion_percent"].values():
+        assert number.value == pytest.approx(percent, rel=0.002)
+        assert 0 < number.std < 0.002
+    for number in corners["lateral_colour_um"].values():
+        assert number.value == pytest.approx(1e3 * LATERAL * FRAME.radius_mm, rel=0.02)
+    assert session_geometry(some_results()) is None
 
 
 def test_checks_count_all_tiles_and_name_few() -> None:

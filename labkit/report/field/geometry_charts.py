@@ -34,12 +34,12 @@ def distortion_chart(geometry: FieldGeometry, ink: Ink, factor: float) -> Figure
     frame = geometry.model.frame
     title = f"distortion, {factor:g} times enlarged"
     figure, axes = frame_axes(frame, HALF_IN, title=title)
-    fine = Grid.edge_to_edge(frame, GRID_LINES * FINE_STEPS)
+    nodes = Grid.edge_to_edge(frame, GRID_LINES)
+    fine = Grid(frame, _finer(nodes.y_mm), _finer(nodes.x_mm))
     shifts, _ = _shifts_mm(geometry, fine.each_px)
     moved = fine.heights_mm + factor * shifts.reshape(fine.heights_mm.shape)
     _grid_lines(axes, fine.heights_mm, SOFT_INK, 0.6, DASHED)
     _grid_lines(axes, moved, ink.colour, 1.2, "-")
-    nodes = Grid.edge_to_edge(frame, GRID_LINES)
     away, covariance = _shifts_mm(geometry, nodes.each_px)
     rings = factor * ellipses(covariance)
     centres = (nodes.each_mm + factor * away)[:, np.newaxis]
@@ -47,6 +47,11 @@ def distortion_chart(geometry: FieldGeometry, ink: Ink, factor: float) -> Figure
         LineCollection(list((centres + rings)[..., ::-1]), colors=INK, linewidths=0.7)
     )
     return figure
+
+
+def _finer(places: Floats) -> Floats:
+    """Return places (n,) in equal steps with others between them."""
+    return np.linspace(places[0], places[-1], FINE_STEPS * (len(places) - 1) + 1)
 
 
 def _grid_lines(

@@ -11,10 +11,12 @@ import numpy as np
 
 from labkit.field.curves import Profile, profiles, usable_frequencies
 from labkit.field.focus_curves import through_focus
-from labkit.field.geometry import FieldGeometry, fit_geometry
+from labkit.field.geometry import FieldGeometry
+from labkit.field.limits import judge_limits
+from labkit.field.session_geometry import corner_numbers, session_geometry
 from labkit.field.surfaces import ASTIGMATISM, focus_um
 from labkit.field.terms import LensTerms, lens_terms
-from labkit.field.tile_places import TileGrid, tile_places
+from labkit.field.turned import planned_screws
 from labkit.figure_style import HALF_IN, Ink
 from labkit.optics.field import FieldModel
 from labkit.plan import leading_channel
@@ -55,10 +57,17 @@ from labkit.report.field.shapes import (
     stamp_half_width_um,
     stamps_chart,
 )
-from labkit.report.field.tables import field_table
+from labkit.report.field.tables import (
+    field_table,
+    limit_table,
+    places_table,
+    screw_table,
+)
 from labkit.report.field.tile_charts import (
     TileSight,
     fit_quality_chart,
+    place_pulls_chart,
+    place_pulls_map,
     tile_sight,
     tiles_chart,
 )
@@ -92,9 +101,19 @@ class FieldArtist:
         """Return what the report says of the field first."""
         return field_cards(self.terms)
 
-    def table(self) -> Table:
-        """Return the terms of each channel."""
-        return field_table(self.terms)
+    def tables(self) -> dict[str, Table | None]:
+        """Return the tables of the field by their names in the template; None for one without rows."""
+        geometry, plan = self.geometry, self.results.plan
+        others = {} if geometry is None else corner_numbers(geometry)
+        limits = judge_limits(plan.limits, self.model, self.lead, others)
+        screws = None if plan.mount.screws_mm is None else planned_screws(plan)
+        (lead,) = (t for t in self.terms if t.channel == self.lead)
+        return {
+            "field_table": field_table(self.terms),
+            "limit_table": limit_table(limits) if limits else None,
+            "places_table": None if geometry is None else places_table(geometry, others),
+            "screw_table": None if screws is None else screw_table(lead, screws),
+        }
 
     def files(self) -> Iterator[tuple[str, Rows, str]]:
         """Yield the name, the rows and the description of each file of numbers."""
@@ -301,15 +320,8 @@ class FieldArtist:
 
     @cached_property
     def geometry(self) -> FieldGeometry | None:
-        """Where the lens puts the tiles; None for tiles that are no grid of equal distances."""
-        target = self.results.plan.target
-        places = tile_places(self.results)
-        if not places or target.grid is None or target.pitch_mm is None:
-            return None
-        grid = TileGrid(target.grid, target.pitch_mm, (target.size_mm, target.size_mm))
-        return fit_geometry(
-            self.model.frame, grid, places, self.results.thin_lens, self.lead
-        )
+        """Where the lens puts the tiles; None for tiles that are no grid of equal targets."""
+        return session_geometry(self.results)
 
     def places(self) -> Iterator[Plate]:
         """Yield distortion and lateral colour."""
@@ -340,6 +352,17 @@ class FieldArtist:
             drawing("field_chi2", fit_quality_chart(frame, fits, title), of),
         ]
         yield Plate("field_tiles", panels)
+        if (geometry := self.geometry) is not None:
+            quantiles = place_pulls_chart(geometry, self.inks)
+            over_frame = place_pulls_map(geometry, sight)
+            outliers = {"geometry": geometry}
+            yield Plate(
+                "field_pulls",
+                [
+                    drawing("field_pulls", quantiles, outliers),
+                    drawing("field_pulls_map", over_frame, outliers),
+                ],
+            )
 
     def others(self) -> Iterator[Plate]:
         """Yield the same plates of the other channels."""

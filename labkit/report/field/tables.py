@@ -1,11 +1,16 @@
-"""Tables of the field: tilt, curvature, coma and astigmatism of each channel."""
+"""Tables of the field: terms of each channel, limits, distortion and lateral colour, screws."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
+import numpy as np
+
+from labkit.field.geometry import FieldGeometry
+from labkit.field.limits import Judged, Numbers
+from labkit.field.mount import Screws, level
 from labkit.field.terms import LensTerms
-from labkit.report.table import Column, Row, Table, channel_columns, estimated
+from labkit.report.table import MINUS, Column, Row, Table, channel_columns, estimated
 from labkit.uncertain import Uncertain
 
 Cell = Callable[[LensTerms], Uncertain]
@@ -79,3 +84,72 @@ def _rows(terms: Sequence[LensTerms]) -> tuple[Row, ...]:
 def _at_corner(name: str) -> Cell:
     """Return the cell of a curvature, as its focus error at the corners."""
     return lambda terms: terms.at_corner_um(getattr(terms, name))
+
+
+def limit_table(limits: Sequence[Judged]) -> Table:
+    """Return the verdicts on the plan's limits."""
+    columns = (
+        Column("limit", text=True),
+        Column("allowed", exact=True),
+        Column("measured"),
+        Column("where", text=True),
+        Column("verdict", text=True),
+    )
+    rows = [
+        Row(
+            (
+                one.name,
+                f"{'at least' if one.is_least else 'at most'} {one.limit:g}",
+                estimated(one.number),
+                one.where,
+                one.verdict,
+            )
+        )
+        for one in limits
+    ]
+    return Table(columns, tuple(rows), strong=4)
+
+
+def places_table(geometry: FieldGeometry, corners: Mapping[str, Numbers]) -> Table:
+    """Return distortion and lateral colour."""
+    columns = (Column("", text=True), Column("", text=True, exact=True), Column(""))
+    k1 = geometry.k1_per_mm2
+    rows = [Row(("Distortion, k₁", "10⁻⁶/mm²", estimated(k1, 1e6)), first=True)]
+    if (k2 := geometry.k2_per_mm4) is not None:
+        rows.append(Row(("k₂", "10⁻⁹/mm⁴", estimated(k2, 1e9))))
+    for place, number in corners["distortion_percent"].items():
+        rows.append(Row((f"{place} corner", "%", estimated(number)), beside=True))
+    if (centre := geometry.centre_px) is not None:
+        std = np.sqrt(np.diag(centre[1]))
+        for name, value, error in zip(("row", "column"), centre[0], std, strict=True):
+            number = Uncertain(float(value), float(error))
+            rows.append(Row((f"its centre, {name}", "px", estimated(number))))
+    for channel, colour in geometry.lateral_colour.items():
+        against = f"{channel} against {geometry.model.channels[0]}"
+        name = f"Lateral colour, {against}, larger by"
+        rows.append(Row((name, "10⁻⁶", estimated(colour.scale, 1e6)), first=True))
+        for where, number in corners["lateral_colour_um"].items():
+            place, _, of = where.partition(", ")
+            if of == channel:
+                rows.append(Row((f"{place} corner", "µm", estimated(number)), beside=True))
+    return Table(columns, tuple(rows))
+
+
+def screw_table(terms: LensTerms, screws: Screws) -> Table:
+    """Return what to do at each screw, from tilt alone."""
+    columns = (
+        Column("screw", exact=True),
+        Column("at x, y", "mm", exact=True),
+        Column("height", "µm"),
+        Column("shim", "µm"),
+        *([Column("turn", "degrees")] if screws.pitch_mm is not None else []),
+        Column("what to do", text=True),
+    )
+    rows = []
+    for move, at in zip(level(terms.tilt.slope, screws), screws.places_mm, strict=True):
+        turn = [] if move.turn_deg is None else [estimated(move.turn_deg)]
+        place = f"{at[0]:g}, {at[1]:g}".replace("-", MINUS)
+        shim = estimated(move.shim_um) if move.shim_um.std else "none"
+        numbers = [estimated(move.height_um), shim, *turn]
+        rows.append(Row((str(move.number), place, *numbers, move.words)))
+    return Table(columns, tuple(rows))

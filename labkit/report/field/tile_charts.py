@@ -10,10 +10,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from labkit.figure_style import HALF_IN, INK, SOFT_INK
+from labkit.field.geometry import FieldGeometry
+from labkit.figure_style import FAINT, HALF_IN, INK, SOFT_INK, Ink, chart
 from labkit.findings import Finding
 from labkit.key import Tile, same_range
 from labkit.optics.field import FieldFrame
+from labkit.report.charts import normal_quantiles
 from labkit.report.field.maps import SEQUENTIAL, even_levels, frame_axes
 from labkit.report.photographs import Photographs
 from labkit.report.tiles import mean_place_px
@@ -138,28 +140,75 @@ def _tile_legend(figure: Figure, sight: TileSight) -> None:
 
 def fit_quality_chart(frame: FieldFrame, fits: Sequence[Wavefront], title: str) -> Figure:
     """Draw the χ² per pixel of each tile at its place."""
-    figure, axes = frame_axes(frame, HALF_IN, title=title, below_in=0.86)
-    places = frame.heights_mm([mean_place_px([fit]) for fit in fits])
+    places_px = np.array([mean_place_px([fit]) for fit in fits])
     chi2 = np.array([fit.chi2_per_pixel for fit in fits])
-    levels = even_levels(float(np.nanmin(chi2)), float(np.nanmax(chi2)))
+    flagged = [not fit.accepted for fit in fits]
+    return tile_map(frame, places_px, chi2, flagged, title, "χ² per pixel")
+
+
+def place_pulls_chart(geometry: FieldGeometry, inks: Mapping[str, Ink]) -> Figure:
+    """Draw quantiles of the tiles' places less the model's, over their errors, against normal ones, with a 99 % band."""
+    figure, axes = chart(HALF_IN, 3.2)
+    axes.set_title("places of the tiles")
+    axes.axline((0, 0), slope=1, color=SOFT_INK, lw=0.8)
+    channels = np.array([place.key.channel for place in geometry.model.places])
+    for k, channel in enumerate(geometry.model.channels):
+        pulls = geometry.pulls[(channels == channel) & ~geometry.fit.apart]
+        normal, low, high, observed = normal_quantiles(pulls.ravel())
+        if k == 0:
+            axes.fill_between(normal, low, high, color=FAINT, lw=0)
+        ink = inks[channel]
+        axes.plot(
+            normal, observed, ink.marker, ms=2.6, mew=0, color=ink.colour, label=channel
+        )
+    axes.set(xlabel="normal quantile, σ", ylabel="quantile of the pulls, σ")
+    axes.legend(loc="upper left", handletextpad=0.2)
+    return figure
+
+
+def place_pulls_map(geometry: FieldGeometry, sight: TileSight) -> Figure:
+    """Draw the RMS of each tile's pulls over all ranges and channels; flagged: tiles set apart in any."""
+    tiles = list(sight.fits)
+    every = np.array([place.tile for place in geometry.model.places])
+    rms, flagged = [], []
+    for tile in tiles:
+        own = np.all(every == tile, axis=1)
+        rms.append(float(np.sqrt(np.mean(geometry.pulls[own] ** 2))))
+        flagged.append(bool(np.any(geometry.fit.apart[own])))
+    places_px = np.array([mean_place_px([sight.fits[tile]]) for tile in tiles])
+    title, unit = "pulls of the places", "σ RMS"
+    frame = geometry.model.frame
+    return tile_map(frame, places_px, np.array(rms), flagged, title, unit)
+
+
+def tile_map(
+    frame: FieldFrame,
+    places_px: Floats,
+    values: Floats,
+    flagged: Sequence[bool],
+    title: str,
+    unit: str,
+) -> Figure:
+    """Draw a number (n,) of each tile at its place (n, 2); flagged tiles have a bold edge."""
+    figure, axes = frame_axes(frame, HALF_IN, title=title, below_in=0.86)
+    places = frame.heights_mm(places_px)
+    levels = even_levels(float(np.nanmin(values)), float(np.nanmax(values)))
     shown = axes.scatter(
         places[:, 1],
         places[:, 0],
-        c=chi2,
+        c=values,
         cmap=SEQUENTIAL,
         vmin=levels[0],
         vmax=levels[-1],
-        s=np.clip(9000 / len(fits), 8, 160),
+        s=np.clip(9000 / len(values), 8, 160),
         marker="s",
-        edgecolors=[INK if fit.accepted else DOUBTFUL for fit in fits],
-        linewidths=[0.4 if fit.accepted else 1.6 for fit in fits],
+        edgecolors=[DOUBTFUL if bold else INK for bold in flagged],
+        linewidths=[1.6 if bold else 0.4 for bold in flagged],
     )
     height_in = figure.get_size_inches()[1]
     at = (0.16, 0.3 / height_in, 0.5, 0.08 / height_in)
     bar = figure.colorbar(shown, cax=figure.add_axes(at), orientation="horizontal")
     bar.ax.tick_params(labelsize=7, pad=1, length=2, colors=SOFT_INK, labelcolor=INK)
-    bar.ax.text(
-        1.05, 0.5, "χ² per pixel", va="center", fontsize=7.5, transform=bar.ax.transAxes
-    )
+    bar.ax.text(1.05, 0.5, unit, va="center", fontsize=7.5, transform=bar.ax.transAxes)
     bar.ax.grid(False)
     return figure
