@@ -12,7 +12,7 @@ field's radius) has c4 + c / √2, sagittal focus (across) c4 - c / √2, medial
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import radians, sqrt
+from math import hypot, inf, nan, radians, sqrt
 from typing import Literal
 
 import numpy as np
@@ -32,8 +32,14 @@ ASTIGMATISM = (6, 5)
 TOWARDS = {"medial": 0.0, "tangential": 1 / sqrt(2), "sagittal": -1 / sqrt(2)}
 """Focus of a surface for a wave of astigmatism towards the field's radius, in waves of Noll 4."""
 
-PLANE_STEPS = 24
-"""Steps along the frame's longer side, between places that the best plane is fitted to."""
+EXTREME_STEPS = 24
+"""Steps along the frame's longer side, between places among which peak and valley are looked for."""
+
+PLANE_NODES = 16
+"""Nodes along each side of the frame that a best plane is fitted to: squares up to degree 31 are exact."""
+
+PLANE_TERMS = 3
+"""Polynomials of a field that is a plane: nothing is known of what a plane leaves."""
 
 
 def focus_rows(
@@ -87,7 +93,7 @@ def um_relative_std(model: FieldModel) -> float:
     return 2 * model.f_number_std / model.f_number
 
 
-def frame_places(model: FieldModel, steps: int = PLANE_STEPS) -> Floats:
+def frame_places(model: FieldModel, steps: int = EXTREME_STEPS) -> Floats:
     """Return places (rows, columns, 2) that cover the frame from corner to corner in equal steps."""
     shape = np.array(model.frame.shape_px)
     counts = np.maximum(np.round(steps * shape / shape.max()), 2).astype(int) + 1
@@ -119,27 +125,47 @@ def best_plane(model: FieldModel, channel: str, surface: Surface = "medial") -> 
 
     A sensor moved and tilted onto the plane keeps the residual, which is the lens's.
     """
-    places = frame_places(model).reshape(-1, 2)
+    if len(model.field) <= PLANE_TERMS:
+        unknown = Uncertain(nan, inf, "um")
+        return BestPlane(Pair(np.full(2, nan), np.full((2, 2), inf)), unknown, unknown)
+    places, weight = _nodes(model)
     rows = focus_rows(model, channel, places, surface)
-    plane = np.column_stack([np.ones(len(places)), model.frame.heights_mm(places)])
-    fitted = np.linalg.lstsq(plane, rows, rcond=None)[0]
-    left = rows - plane @ fitted
-    tilt = Pair(
-        fitted[1:] @ model.waves.ravel(),
-        fitted[1:] @ model.covariance @ fitted[1:].T,
-    )
+    root = np.sqrt(weight)[:, None]
+    fitted = np.linalg.lstsq(root * _plane(model, places), root * rows, rcond=None)[0]
+    left = root * (rows - _plane(model, places) @ fitted)
+    # squares of linear numbers add up to the mean square
+    parts = left @ model.waves.ravel()
+    mean_square = float(parts @ parts)
+    by_waves = parts @ left
+    variance = float(by_waves @ model.covariance @ by_waves)
+    noise = float(np.einsum("ij,jk,ik->", left, model.covariance, left))
+    rms = sqrt(mean_square)
+    std = sqrt(variance / mean_square if mean_square > noise else noise)
+    corners = frame_places(model).reshape(-1, 2)
+    beside = focus_rows(model, channel, corners, surface) - _plane(model, corners) @ fitted
+    error = beside @ model.waves.ravel()
+    span, span_std = in_um(model, beside[np.argmax(error)] - beside[np.argmin(error)])
     factor = model.um_per_wave
     relative = um_relative_std(model)
-    value = left @ model.waves.ravel()
-    ends = left[np.argmax(value)] - left[np.argmin(value)]
-    rms = float(np.sqrt(np.mean(value**2)))
-    by_waves = value @ left / (len(value) * rms) if rms > 0 else np.zeros(left.shape[1])
-    variance = float(by_waves @ model.covariance @ by_waves)
-    if rms == 0:  # no direction: errors of any direction count
-        variance = float(np.trace(left @ model.covariance @ left.T)) / len(value)
-    span, span_std = in_um(model, ends)
+    slopes = fitted[1:]
+    tilt = Pair(slopes @ model.waves.ravel(), slopes @ model.covariance @ slopes.T)
     return BestPlane(
         tilt.times(factor, "um/mm", relative),
-        Uncertain(factor * rms, factor * np.hypot(sqrt(variance), relative * rms), "um"),
+        Uncertain(factor * rms, factor * hypot(std, relative * rms), "um"),
         Uncertain(float(span), float(span_std), "um"),
     )
+
+
+def _plane(model: FieldModel, places_px: Floats) -> Floats:
+    """Return (n, 3) a constant and the heights of places, whose combinations are planes."""
+    heights = model.frame.heights_mm(places_px)
+    return np.column_stack([np.ones(len(heights)), heights])
+
+
+def _nodes(model: FieldModel) -> tuple[Floats, Floats]:
+    """Return places (n, 2) and weights (n,) that average polynomials over the frame exactly (Gauss)."""
+    node, weight = np.polynomial.legendre.leggauss(PLANE_NODES)
+    half = np.array(model.frame.shape_px) / 2
+    places = np.stack(np.meshgrid(node, node, indexing="ij"), axis=-1) * half
+    both = np.outer(weight, weight) / 4
+    return places.reshape(-1, 2) + model.frame.centre_px, both.ravel()

@@ -19,6 +19,9 @@ from labkit.uncertain import Uncertain
 
 Rows = list[list[str]]
 
+UNCLEAR_DEG = 60.0
+"""Standard error from which a direction says nothing."""
+
 LEAST_TOLD = 1e-4
 """Probabilities below are given as less than this."""
 
@@ -37,9 +40,15 @@ def headline(summary: FieldSummary) -> str:
     return (
         f"sensor tilt in {summary.channel}: {text(slope)} µm/mm, "
         f"{text(tilt.angle.magnitude)} arcmin, {text(tilt.over_frame)} µm over the frame; "
-        f"the sensor recedes from the lens towards {tilt.direction_deg.value:.0f}° "
-        f"± {tilt.direction_deg.std:.0f}° (0° right, 90° down)"
+        f"{_towards(tilt.direction_deg)}"
     )
+
+
+def _towards(direction: Uncertain) -> str:
+    if not direction.std < UNCLEAR_DEG:
+        return "the errors leave its direction open"
+    towards = f"{direction.value:.0f}° ± {direction.std:.0f}°"
+    return f"the sensor recedes from the lens towards {towards} (0° right, 90° down)"
 
 
 def term_rows(summary: FieldSummary) -> Rows:

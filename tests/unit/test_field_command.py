@@ -11,6 +11,7 @@ import pytest
 from labkit.cli import field as command
 from labkit.cli.command_line import run
 from labkit.field.summary import summarise
+from labkit.field.tables import headline
 from labkit.findings import Finding
 from labkit.key import Key
 from labkit.optics.field import FieldModel
@@ -145,3 +146,10 @@ def test_tiles_show_their_fits_and_agreement_with_the_model() -> None:
     # two standard errors of fit and model together
     assert first.pull == pytest.approx(2.0)
     assert (absent.fits, absent.remarks) == (0, ("not found at 3000 mm",))
+
+
+def test_a_tilt_within_its_errors_has_no_direction() -> None:
+    assert headline(summarise(tiled(a_field()))).endswith(
+        "the errors leave its direction open"
+    )
+    assert "not determined" in headline(summarise(tiled(a_field(order=0))))
