@@ -26,7 +26,7 @@ POSITIONS = 41
 REACH_PER_NUMBER = 6.0
 """Reach of curves beyond the best focus of all places, um, for each unit of the f-number squared."""
 
-FREQUENCY_STEP = 1e-3
+FREQUENCY_STEP = 1e-4
 """Relative, of the MTF's derivative by frequency."""
 
 TILTS_AND_FOCUS = (2, 3, DEFOCUS)
@@ -105,18 +105,18 @@ def _focus_curve(
     detail = detail_deg(azimuth_of(model.frame, place), surface)
     own = wavefront.waves[wavefront.index(DEFOCUS)]
     away = shift / model.um_per_wave
-    curve, above, below = (
+    curve, above = (
         mtf_through_focus(wavefront, frequency * factor, detail, own + away)
-        for factor in (1.0, 1 + FREQUENCY_STEP, 1 - FREQUENCY_STEP)
+        for factor in (1.0, 1 + FREQUENCY_STEP)
     )
     # a slower cone has a lower cutoff, and more um for each wave
-    by_cone = (above.value - below.value) / (2 * FREQUENCY_STEP) - 2 * away * curve.slope
+    by_cone = (above.value - curve.value) / FREQUENCY_STEP - 2 * away * curve.slope
     of_modes = _gradient(wavefront, curve.slopes, curve.slope)
     relative = wavefront.f_number_relative_std
     std = np.sqrt(wavefront.variance(of_modes) + (relative * by_cone) ** 2)
-    best = _top(curve) - own
-    top_by_cone = (_top(above) - _top(below)) / (2 * FREQUENCY_STEP) + 2 * best
-    best_std = hypot(_top_std(wavefront, curve), relative * top_by_cone)
+    top = _top(curve)
+    top_by_cone = (_top(above) - top) / FREQUENCY_STEP + 2 * (top - own)
+    best_std = hypot(_top_std(wavefront, curve, top), relative * top_by_cone)
     return FocusCurve(
         channel,
         name,
@@ -124,7 +124,7 @@ def _focus_curve(
         frequency,
         shift,
         Band(curve.value, std),
-        Uncertain(model.um_per_wave * best, model.um_per_wave * best_std, "um"),
+        Uncertain(model.um_per_wave * (top - own), model.um_per_wave * best_std, "um"),
     )
 
 
@@ -145,9 +145,8 @@ def _top(curve: ThroughFocus) -> float:
     return max(tops, key=spline, default=nan)
 
 
-def _top_std(wavefront: FittedWavefront, curve: ThroughFocus) -> float:
+def _top_std(wavefront: FittedWavefront, curve: ThroughFocus, top: float) -> float:
     """Return the standard error by the modes of the defocus of the highest MTF less that of the place."""
-    top = _top(curve)
     if isnan(top):
         return inf
     slope, *slopes = CubicSpline(

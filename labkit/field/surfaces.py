@@ -54,8 +54,10 @@ def focus_rows(
     azimuth_deg : direction called tangential, degrees from right towards down; by default
         that of the place from the frame's centre, and down at the centre itself
     """
-    rows = model.rows(channel, places_px)
-    focus = rows[..., model.noll.index(DEFOCUS), :]
+    at = np.moveaxis(model.frame.polynomials(model.field, places_px), 0, -1)
+    rows = np.zeros((*at.shape[:-1], *model.waves.shape))
+    own = model.channels.index(channel)
+    rows[..., own, :, model.noll.index(DEFOCUS)] = at
     down, right = np.moveaxis(model.frame.heights_mm(places_px), -1, 0)
     at_centre = (down == 0) & (right == 0)
     angle = np.where(at_centre, np.pi / 2, np.arctan2(down, right))
@@ -63,9 +65,9 @@ def focus_rows(
         angle = np.full(angle.shape, radians(azimuth_deg))
     for mode, part in zip(ASTIGMATISM, (np.cos(2 * angle), np.sin(2 * angle)), strict=True):
         if mode in model.noll:
-            towards = part[..., None] * rows[..., model.noll.index(mode), :]
-            focus = focus + TOWARDS[surface] * towards
-    return np.asarray(focus)
+            towards = TOWARDS[surface] * part[..., None]
+            rows[..., own, :, model.noll.index(mode)] = towards * at
+    return rows.reshape(*at.shape[:-1], model.waves.size)
 
 
 def focus_um(
@@ -83,7 +85,7 @@ def focus_um(
 def in_um(model: FieldModel, rows: Floats) -> tuple[Floats, Floats]:
     """Return linear combinations (..., coefficients) of Noll 4 in um, with standard errors that include the cone's."""
     value = model.um_per_wave * (rows @ model.waves.ravel())
-    variance = np.einsum("...i,ij,...j->...", rows, model.covariance, rows)
+    variance = np.sum((rows @ model.covariance) * rows, axis=-1)
     std = model.um_per_wave * np.sqrt(variance.clip(0))
     return value, np.hypot(std, um_relative_std(model) * value)
 
@@ -138,7 +140,7 @@ def best_plane(model: FieldModel, channel: str, surface: Surface = "medial") -> 
     mean_square = float(parts @ parts)
     by_waves = parts @ left
     variance = float(by_waves @ model.covariance @ by_waves)
-    noise = float(np.einsum("ij,jk,ik->", left, model.covariance, left))
+    noise = float(np.sum((left @ model.covariance) * left))
     rms = sqrt(mean_square)
     std = sqrt(variance / mean_square if mean_square > noise else noise)
     corners = frame_places(model).reshape(-1, 2)

@@ -98,13 +98,14 @@ def share(
 
     without : the pupil's modes to leave out. Defocus shows the sensor more than the lens.
     """
-    of = part_of(model, part)
-    kept = np.array([j not in without for j in model.noll])
-    at = np.zeros(model.waves.shape, bool)
-    at[model.channels.index(channel)] = kept
-    chosen = np.flatnonzero(at.ravel())
-    waves = of.waves.ravel()[chosen]
-    covariance = of.covariance[np.ix_(chosen, chosen)]
+    matrix = part_matrix(model.field, model.noll, part)
+    kept = [j not in without for _ in model.field for j in model.noll]
+    matrix = matrix[kept]
+    own = model.channels.index(channel)
+    waves = matrix @ model.waves[own].ravel()
+    start = own * matrix.shape[1]
+    block = slice(start, start + matrix.shape[1])
+    covariance = matrix @ model.covariance[block, block] @ matrix.T
     square = float(waves @ waves)
     known = float(np.trace(covariance))
     variance = 4 * waves @ covariance @ waves + 2 * np.sum(covariance**2)

@@ -142,8 +142,12 @@ class FieldModel:
 
     def modes(self, channel: str, places_px: ArrayLike) -> tuple[Floats, Floats]:
         """Return the modes (..., modes), waves RMS, at places (..., 2), and their covariances (..., modes, modes)."""
-        rows = self.rows(channel, places_px)
-        return rows @ self.waves.ravel(), rows @ self.covariance @ rows.swapaxes(-1, -2)
+        at = np.moveaxis(self.frame.polynomials(self.field, places_px), 0, -1)
+        own = self.channels.index(channel)
+        # rows would hold the other channels' coefficients too, times zero
+        covariance = self.covariance.reshape(self.waves.shape * 2)[own, :, :, own]
+        half = np.tensordot(at, covariance, 1)
+        return at @ self.waves[own], np.einsum("...jkl,...k->...jl", half, at)
 
     @property
     def leading(self) -> str:

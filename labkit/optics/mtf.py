@@ -121,11 +121,8 @@ def mtf(
     )
     variance = wavefront.variance(gradient)
     if wavefront.f_number_std:
-        variance = (
-            variance
-            + (wavefront.f_number_relative_std * along * _slope(wavefront, along, azimuth))
-            ** 2
-        )
+        slope = _slope(wavefront, along, azimuth)
+        variance = variance + (wavefront.f_number_relative_std * along * slope) ** 2
     std = np.sqrt(variance)
     return Curve(frequency, value.reshape(frequency.shape), std.reshape(frequency.shape))
 
@@ -359,6 +356,7 @@ def _differences(degree: int, by: Floats) -> Floats:
     return np.asarray(odd * by[:, None, None] ** np.maximum(p - k, 0))
 
 
+@lru_cache(maxsize=64)
 def _tables(noll: tuple[int, ...], turn: float, slope: bool = False) -> Floats:
     """Return (modes, d + 1, d + 1) modes, or their slopes, as polynomials in coordinates with x along an
     azimuth.
@@ -375,6 +373,7 @@ def _tables(noll: tuple[int, ...], turn: float, slope: bool = False) -> Floats:
         table[: n + 1, : n + 1] = same * cartesian(nm_to_noll(n, m))
         if m:
             table[: n + 1, : n + 1] -= other * cartesian(nm_to_noll(n, -m))
+    tables.flags.writeable = False
     return tables
 
 
