@@ -114,7 +114,7 @@ def summarise(results: Results, channel: str | None = None) -> FieldSummary:
     DataError
         the results have no field, or no such channel
     """
-    model: FieldModel | None = getattr(results, "field", None)
+    model = results.field
     if model is None:
         raise DataError(NO_FIELD)
     if channel is not None and channel not in model.channels:

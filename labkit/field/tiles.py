@@ -84,7 +84,7 @@ def _middle_px(fit: Wavefront) -> Floats | None:
     """Return the middle (2,) of the target in the photographs; None where its place is not kept."""
     if fit.placement is None:
         return None
-    return np.asarray(fit.placement.corners_px.mean(axis=(0, 1)))
+    return np.array(fit.placement.centre_px)
 
 
 def _pulls(fit: Wavefront, model: FieldModel) -> list[float]:

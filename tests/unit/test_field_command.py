@@ -55,9 +55,7 @@ def tiled(model: FieldModel | None = None, pull: float = 0.0) -> Results:
         Finding("tile-left-out", Key(3000.0, "G", (0, 1)), {}, "tile (0, 1) is clipped"),
     )
     plan = some_results().plan.replace(limits={"corner_mtf50": 40, "tilt_um": 0.5})
-    results = some_results(plan=plan, wavefronts=tuple(fits), findings=findings)
-    object.__setattr__(results, "field", model)
-    return results
+    return some_results(plan=plan, wavefronts=tuple(fits), findings=findings, field=model)
 
 
 @pytest.fixture
