@@ -52,7 +52,7 @@ def on_dask(address: str) -> Iterator[Executed]:
         raise InputError(
             "--dask needs the package distributed: pip install 'labkit[cluster]'"
         ) from error
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # errors here are one line
+    _silence()
     with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 GiB"}):
         try:
             client = Client(  # type: ignore[no-untyped-call]
@@ -71,6 +71,12 @@ def on_dask(address: str) -> Iterator[Executed]:
             client.close(timeout=CONNECT_S)  # type: ignore[no-untyped-call]
 
 
+def _silence() -> None:
+    """Keep distributed from printing what labkit says in one line. Some of its loggers have levels of their own."""
+    for name in ("distributed", "distributed.client"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+
+
 @dataclass
 class Cluster:
     """The scheduler and workers of a cluster, as last seen."""
@@ -80,9 +86,9 @@ class Cluster:
     last_workers_s: float = field(default_factory=time.monotonic)
 
     def threads(self) -> int:
-        """Return the number of tasks that the workers run at once."""
-        workers = self.client.scheduler_info(n_workers=-1)["workers"].values()
-        return sum(int(worker["nthreads"]) for worker in workers)
+        """Return the number of tasks that the workers run at once; 0 if the scheduler is lost."""
+        workers = self.client.scheduler_info(n_workers=-1).get("workers", {})
+        return sum(int(worker["nthreads"]) for worker in workers.values())
 
     def watch(self) -> None:
         """Raise WorkersError if the scheduler is lost, or has been without workers for too long."""

@@ -85,6 +85,16 @@ NOT_ALLOWED = {
 """What to do where writing is not allowed, by the system's number for why."""
 
 
+def is_full(error: BaseException) -> bool:
+    """Return whether an error, or its cause, is that of a full disk."""
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, OSError) and cause.errno in (errno.ENOSPC, errno.EDQUOT):
+            return True
+        cause = cause.__cause__
+    return False
+
+
 def links_in(folder: Path) -> list[Path]:
     """Return all symbolic links in a folder and in the folders in it."""
     return sorted(

@@ -37,6 +37,7 @@ from labkit.estimation.searches import fit_task
 from labkit.estimation.session import estimate
 from labkit.estimation.split import Change, find_change
 from labkit.execute import Executed, Run, Workers, default_workers
+from labkit.files import is_full
 from labkit.findings import (
     Finding,
     each_once,
@@ -213,7 +214,8 @@ def _written(
             results.write(folder.with_name(folder.name + end))
     except InputError as error:
         again = NOT_ALL_KEPT if kept.problem else FIT_AGAIN
-        raise InputError(f"{error}; make room and {again}") from error
+        room = "make room and " if is_full(error) else ""
+        raise InputError(f"{error}; {room}{again}") from error
     if not lost:
         kept.clear()
     return replace(every[""], folder=folder)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
@@ -18,7 +17,7 @@ from labkit.analysis.inputs import why_outdated
 from labkit.errors import DataError, LabkitError, NewerError, WorkersError
 from labkit.estimation.searches import fit_task
 from labkit.execute import Executed, Run, Workers, default_workers
-from labkit.files import check_name
+from labkit.files import check_name, is_full
 from labkit.results.storage import accept_failed_fits, kept_content, plan_of
 from labkit.session.session import Session
 from labkit.types import Progress, no_progress
@@ -27,8 +26,6 @@ State = Literal["up to date", "to do", "fitted", "failed", "skipped"]
 
 AT_ONCE = 4
 """Sessions under way at once, at most: their photographs are in memory."""
-
-NO_ROOM = (errno.ENOSPC, errno.EDQUOT)
 
 
 @dataclass(frozen=True)
@@ -228,7 +225,7 @@ class _Stream:
                 **row.settings,
             )
         except LabkitError as error:
-            if isinstance(error, WorkersError) or _is_full(error):
+            if isinstance(error, WorkersError) or is_full(error):
                 self.stopped = True
                 raise
             return replace(row, state="failed", why=str(error))
@@ -250,13 +247,3 @@ class _Stream:
                 self.progress(self.done, self.total, f"{session.name}: {step}")
 
         return report
-
-
-def _is_full(error: LabkitError) -> bool:
-    """Return whether an error is that of a full disk."""
-    cause: BaseException | None = error
-    while cause is not None:
-        if isinstance(cause, OSError) and cause.errno in NO_ROOM:
-            return True
-        cause = cause.__cause__
-    return False

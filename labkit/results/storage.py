@@ -75,7 +75,8 @@ def write(folder: Path, results: Results) -> Path:
 def read(folder: Path, name: str, *, residuals: bool = True) -> dict[str, Any]:
     """The fields of results: of a session's folder those of that name, or those of a results folder.
 
-    residuals: whether to read the residuals too. Raises DataError, or SessionError for a name that is unsafe, and for links.
+    residuals: whether to read the residuals too. Raises DataError, SessionError for a name that is unsafe, and for links, and
+    NewerError for results of a later schema.
     """
     session = folder / "results"
     place = (
@@ -92,6 +93,7 @@ def read(folder: Path, name: str, *, residuals: bool = True) -> dict[str, Any]:
         raise DataError(f"no {path}: run labkit fit first{_others(session)}") from None
     except (OSError, ValueError, RecursionError) as error:
         raise DataError(f"cannot read {path}: {error}; fit the session again") from None
+    _refuse_newer(path, schema)
     if schema not in READABLE:
         known = f"{READABLE[0]} to {READABLE[-1]}"
         raise DataError(
@@ -139,11 +141,9 @@ def kept_content(folder: Path) -> Content | None:
         return None
     except RecursionError as error:
         raise ValueError("it is nested too deeply") from error
-    if isinstance(schema, int) and schema > READABLE[-1]:
-        raise NewerError(
-            f"{folder / RESULTS_FILE} has schema {schema}, of a newer labkit; this version writes schema {READABLE[-1]}: "
-            "update labkit, or give another name (--name)"
-        )
+    except IsADirectoryError as error:
+        raise ValueError("it is a folder") from error
+    _refuse_newer(folder / RESULTS_FILE, schema)
     return Content.parse(text)
 
 
@@ -174,6 +174,15 @@ def set_aside_corrupt(folder: Path) -> Path | None:
     except OSError:
         return None
     return None
+
+
+def _refuse_newer(path: Path, schema: Any) -> None:
+    """Raise NewerError for results of a later schema."""
+    if isinstance(schema, int) and schema > READABLE[-1]:
+        raise NewerError(
+            f"{path} has schema {schema}, of a newer labkit; this version knows schemas to {READABLE[-1]}: "
+            "update labkit, or give another name (--name)"
+        )
 
 
 def _schema(text: str) -> Any:

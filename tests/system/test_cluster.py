@@ -77,7 +77,7 @@ def always_kill(number: int) -> int:
 
 
 def test_a_killed_worker_costs_its_tasks_and_a_lost_scheduler_ends_all(
-    dask: Cluster, tmp_path: Path
+    dask: Cluster, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     with on_dask(dask.address) as mapped:
         assert sorted(mapped(factorial, range(5))) == [(k, factorial(k)) for k in range(5)]
@@ -90,6 +90,12 @@ def test_a_killed_worker_costs_its_tasks_and_a_lost_scheduler_ends_all(
         with pytest.raises(WorkersError, match="is gone; start it and fit again"):
             next(results)
         assert time.monotonic() - began < cluster.CONNECT_S
+        while mapped.at_once > 1:  # until the client gives the scheduler up
+            assert time.monotonic() - began < 10 * cluster.CONNECT_S
+            time.sleep(0.1)
+        with pytest.raises(WorkersError, match="is gone; start it and fit again"):
+            next(mapped(factorial, range(5)))
+    assert "distributed" not in capfd.readouterr().err
 
 
 def test_a_cluster_without_workers_is_named_after_a_while(

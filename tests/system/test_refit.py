@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import subprocess
 import sys
 import time
@@ -16,6 +18,7 @@ from labkit.analysis.fit import fit
 from labkit.cli import run
 from labkit.devices.registry import open_devices
 from labkit.errors import DataError, InputError
+from labkit.files import writing
 from labkit.plan import Plan
 from labkit.results import Results
 from labkit.session.session import Session
@@ -142,7 +145,8 @@ def test_a_fit_that_was_killed_and_found_the_disk_full_goes_on_where_it_was(
     session: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(path: Path, content: bytes) -> None:
-        raise InputError(f"cannot write {path}: No space left on device")
+        with writing(path):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     folder = session / "results" / "again"
     command = labkit(

@@ -24,6 +24,7 @@ from labkit.estimation.local import find_optima as find
 from labkit.numerics import source_digest
 from labkit.results import Results
 from labkit.results.made_from import MadeFrom
+from labkit.results.storage import set_aside_corrupt
 from labkit.session.fit_lock import fitted_alone
 from labkit.session.session import Session
 from tests.results_samples import full_results
@@ -126,6 +127,28 @@ def test_results_of_a_newer_labkit_are_named_and_left(session: Path, fits: Fits)
     with pytest.raises(NewerError):
         labkit.fit(session, workers=1)
     assert file.read_text() == content
+
+
+def test_a_report_of_results_of_a_newer_labkit_is_refused_in_a_line(
+    session: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with_results(session)
+    file = session / "results/latest/results.json"
+    file.write_text(file.read_text().replace('"schema": 3', '"schema": 4'))
+    assert run(["report", str(session)]) != 0
+    assert "of a newer labkit; this version knows schemas to 3: update" in (
+        capsys.readouterr().err
+    )
+
+
+def test_a_folder_in_the_place_of_results_is_set_aside(session: Path, fits: Fits) -> None:
+    file = session / "results/latest/results.json"
+    file.mkdir(parents=True)
+    assert state_of(session, dry_run=True) == ("to do", "its results.json cannot be read")
+    aside = set_aside_corrupt(file.parent)
+    assert aside == file.with_name("results.json.corrupt")
+    assert aside.is_dir()
+    assert state_of(session)[0] == "fitted"
 
 
 def test_failed_fits_stay_to_be_done_until_they_are_accepted(
