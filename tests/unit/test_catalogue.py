@@ -127,7 +127,7 @@ def test_results_that_cannot_be_read_are_named_and_left_out(
     assert run(["list", str(folder)]) == 0
     printed = capsys.readouterr()
     assert "night-1 is left out" in printed.err
-    assert "has schema 4; this version reads schemas 1 to 3" in printed.err
+    assert "has schema 4, of a newer labkit" in printed.err
     assert "night-2 is left out" in printed.err
     assert "night" not in printed.out.replace(str(folder), "")
 

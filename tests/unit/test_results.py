@@ -397,7 +397,8 @@ def test_what_a_folder_keeps_is_known_without_reading_it_all(tmp_path: Path) -> 
     [
         (None, "run labkit fit first"),
         ("{", "cannot read"),
-        ('{"schema": 7}', "schema 7; this version reads schemas 1 to 3"),
+        ('{"schema": 7}', "schema 7, of a newer labkit; this version knows schemas to 3"),
+        ('{"schema": 0}', "schema 0; this version reads schemas 1 to 3"),
         ('{"schema": 1}', "labkit_version"),
         ("[" * 100_000, "cannot read"),
     ],
