@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import product
+from math import log
 
 import cv2
 import numpy as np
@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from labkit.errors import TargetError
 from labkit.finder.registration import homography
 from labkit.target_grid import Place, TargetGrid
-from labkit.target_marks import MARK_MODULES, Reading, read_marks
-from labkit.types import Bools, Floats
+from labkit.target_marks import MARK_MODULES
+from labkit.types import Floats
 
 Singles = NDArray[np.float32]
 
@@ -27,6 +27,18 @@ MODULE_PX = 8
 
 LEAST_MARK_CONTRAST = 0.15
 """Of a mark's light and dark modules, of the picture's range: noise alone makes no mark."""
+
+RINGS = np.array([[0, 1, 1, 0], [1, 2, 2, 1], [1, 2, 2, 1], [0, 1, 1, 0]])
+"""Bits of a mark that have equally many neighbours in its rim."""
+
+RINGLESS_BITS = RINGS.size - 3
+"""Free numbers among a mark's bits without the means of its rings."""
+
+LEAST_ODDS = 1000.0
+"""Of the likeliest way to read all marks, against all others."""
+
+LEAST_MARK_AGREEMENT = 0.25
+"""Correlation that three quarters of the marks reach where they are the grid's: half of those of another grid have none."""
 
 QUARTER_TURNS = ("", "by 90° to the left", "by 180°", "by 90° to the right")
 
@@ -49,11 +61,19 @@ class Lattice:
 
 
 @dataclass(frozen=True, slots=True)
-class _Seen:
-    """A mark in a photograph: the target up and left of it, in the lattice, and how it reads."""
+class _Way:
+    """One way in which the marks of a grid could appear in a photograph.
 
-    place: Place
-    reading: Reading
+    mirrored, turns: as in a mirror, then in quarter turns to the left; first: the lattice's
+    place of the first target, of an upright grid; agreement: correlation of all marks with
+    those of the grid there; each: (marks,) of every mark.
+    """
+
+    mirrored: bool
+    turns: int
+    first: Place
+    agreement: float
+    each: Floats
 
 
 def first_place(picture: Singles, lattice: Lattice, grid: TargetGrid) -> Place:
@@ -62,8 +82,8 @@ def first_place(picture: Singles, lattice: Lattice, grid: TargetGrid) -> Place:
     Raises TargetError for a grid that contradicts the plan, is turned or mirrored, and for
     one that the frame cuts so that its rows or columns cannot be told.
     """
-    seen = list(_marks(picture, lattice, grid)) if grid.marks else []
-    first = _by_marks(seen, grid) if seen else None
+    seen = dict(_marks(picture, lattice, grid)) if grid.marks else {}
+    first = _by_marks(seen, lattice, grid) if seen else None
     if first is None:
         first = (_by_the_frame(lattice, grid, 0), _by_the_frame(lattice, grid, 1))
     for axis in (0, 1):
@@ -73,8 +93,10 @@ def first_place(picture: Singles, lattice: Lattice, grid: TargetGrid) -> Place:
     return first
 
 
-def _marks(picture: Singles, lattice: Lattice, grid: TargetGrid) -> Iterator[_Seen]:
-    """Yield each mark around the found targets that can be read, in every reading."""
+def _marks(
+    picture: Singles, lattice: Lattice, grid: TargetGrid
+) -> Iterator[tuple[Place, Floats]]:
+    """Yield the place of the target up and left of each mark, and the light (4, 4) of the mark's bits."""
     own_mm = OWN_CORNERS * grid.tile.size_mm
     # a mark is between two rows, and between two columns, unless there is one of them alone
     rows, cols = ((0, -1) if count > 1 else (0,) for count in grid.grid)
@@ -90,14 +112,13 @@ def _marks(picture: Singles, lattice: Lattice, grid: TargetGrid) -> Iterator[_Se
                 (step + 0.5) * grid.pitch_mm if count > 1 else 0.0
                 for step, count in zip((down, right), grid.grid, strict=True)
             ]
-            modules = _modules(picture, by, np.array(middle) + OWN_CORNERS * grid.mark_mm)
-            if modules is not None:
-                for reading in read_marks(modules, on_dark=not grid.surround):
-                    yield _Seen(place, reading)
+            levels = _levels(picture, by, np.array(middle) + OWN_CORNERS * grid.mark_mm)
+            if np.ptp(levels) > LEAST_MARK_CONTRAST:  # False for nan
+                yield place, levels[1:-1, 1:-1]
 
 
-def _modules(picture: Singles, by: Floats, corners_mm: Floats) -> Bools | None:
-    """Return which modules (6, 6) of a mark are light; None without contrast, or outside of the picture."""
+def _levels(picture: Singles, by: Floats, corners_mm: Floats) -> Floats:
+    """Return the mean light in the modules (6, 6) of a mark; nan outside of the picture."""
     side = MARK_MODULES * MODULE_PX
     end = side - 0.5
     straight = np.array([[-0.5, -0.5], [-0.5, end], [end, end], [end, -0.5]])
@@ -111,49 +132,85 @@ def _modules(picture: Singles, by: Floats, corners_mm: Floats) -> Bools | None:
     )
     middle = slice(MODULE_PX // 4, MODULE_PX - MODULE_PX // 4)
     cells = upright.reshape(MARK_MODULES, MODULE_PX, MARK_MODULES, MODULE_PX)
-    levels = cells[:, middle, :, middle].mean(axis=(1, 3))
-    low, high = float(levels.min()), float(levels.max())
-    if not high - low > LEAST_MARK_CONTRAST:
-        return None
-    return np.asarray(levels > (low + high) / 2)
+    return np.asarray(cells[:, middle, :, middle].mean(axis=(1, 3)), dtype=np.float64)
 
 
-def _by_marks(seen: list[_Seen], grid: TargetGrid) -> Place | None:
-    """Return the lattice's place of the first target by most of the marks; None where no mark is the grid's.
+def _by_marks(
+    seen: dict[Place, Floats], lattice: Lattice, grid: TargetGrid
+) -> Place | None:
+    """Return the lattice's place of the first target by all marks together; None where the marks cannot be told.
+
+    A way to read them counts if its likelihood is a thousand times that of all others together,
+    and of no marks at all.
 
     Raises TargetError for a grid that is turned or mirrored, or whose marks are of another grid.
     """
-    many, cols = np.prod(grid.mark_grid), grid.mark_grid[1]
-    own = [mark for mark in seen if mark.reading.number < many]
-    if not own:
+    ways = sorted(_ways(seen, lattice, grid), key=lambda way: way.agreement, reverse=True)
+    if not ways:
         return None
-    ways = Counter((mark.reading.mirrored, mark.reading.turns) for mark in own)
-    mirrored, turns = ways.most_common(1)[0][0]
-    if mirrored:
-        raise TargetError(
-            "the grid is mirrored in the photograph, its marks show: show and photograph it unmirrored"
-        )
-    if turns:
-        raise TargetError(
-            f"the grid is turned {QUARTER_TURNS[turns]} in the photograph, its marks show: turn the camera or the grid, or "
-            "write [target] grid as the photograph shows it and leave out marks"
-        )
-    upright = [
-        mark for mark in own if mark.reading == Reading(mark.reading.number, 0, False)
+    best = ways[0]
+    # the log-likelihood of Gaussian noise of unknown size grows by this for each way, from no marks
+    gains = [
+        -RINGLESS_BITS * len(seen) / 2 * log(max(1 - max(way.agreement, 0.0) ** 2, 1e-6))
+        for way in ways[:2]
     ]
-    firsts = Counter(
-        (
-            mark.place[0] - mark.reading.number // cols,
-            mark.place[1] - mark.reading.number % cols,
-        )
-        for mark in upright
-    )
-    first, votes = firsts.most_common(1)[0]
-    if 2 * votes <= len(upright):
+    enough = log(LEAST_ODDS * len(ways))
+    if gains[0] < enough:
+        return None
+    if np.percentile(best.each, 25) < LEAST_MARK_AGREEMENT:
         raise TargetError(
             f"the marks in the photograph are those of another grid than [target] grid = {list(grid.grid)}"
         )
-    return first
+    if gains[0] - max(gains[1:], default=0.0) < enough:
+        return None
+    if best.mirrored:
+        raise TargetError(
+            "the grid is mirrored in the photograph, its marks show: show and photograph it unmirrored"
+        )
+    if best.turns:
+        raise TargetError(
+            f"the grid is turned {QUARTER_TURNS[best.turns]} in the photograph, its marks show: turn the camera or the grid, "
+            "or write [target] grid as the photograph shows it and leave out marks"
+        )
+    return best.first
+
+
+def _ways(seen: dict[Place, Floats], lattice: Lattice, grid: TargetGrid) -> Iterator[_Way]:
+    """Yield all ways in which the grid could hold the targets found, with its marks where marks are seen."""
+    rows, cols = grid.mark_grid
+    known = np.stack([grid.mark(k).cells[1:-1, 1:-1] for k in range(rows * cols)])
+    wanted = _ringless(known)
+    after = np.array([0.5 * (count > 1) for count in grid.grid])
+    for mirrored, turns in product((False, True), range(4)):
+        marks = np.array(list(seen)) + after
+        tiles = np.array(list(lattice.tiles))
+        bits = np.stack([*seen.values()])
+        if mirrored:
+            marks, tiles, bits = marks * (1, -1), tiles * (1, -1), bits[:, :, ::-1]
+        for _ in range(turns):
+            marks = np.column_stack((marks[:, 1], -marks[:, 0]))
+            tiles = np.column_stack((tiles[:, 1], -tiles[:, 0]))
+        match = _ringless(np.rot90(bits, -turns, axes=(1, 2))) @ wanted.T
+        low = tiles.max(axis=0) - np.array(grid.grid) + 1
+        for first in product(*map(range, low, tiles.min(axis=0) + 1)):
+            row, col = np.rint(marks - after - first).astype(int).T
+            inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
+            number = np.where(inside, row * cols + col, 0)
+            each = np.where(inside, match[np.arange(len(marks)), number], 0.0)
+            yield _Way(mirrored, turns, (first[0], first[1]), float(each.mean()), each)
+
+
+def _ringless(bits: Floats) -> Floats:
+    """Return bits (n, 4, 4) as unit vectors (n, 16) without the means of corners, edges and middle.
+
+    Blur makes the bits next to a mark's rim brighter.
+    """
+    left = bits.reshape(-1, RINGS.size).astype(np.float64)
+    for ring in np.unique(RINGS):
+        members = RINGS.ravel() == ring
+        left[:, members] -= left[:, members].mean(axis=1, keepdims=True)
+    norms = np.linalg.norm(left, axis=1, keepdims=True)
+    return np.asarray(left / np.maximum(norms, 1e-9))
 
 
 def _by_the_frame(lattice: Lattice, grid: TargetGrid, axis: int) -> int:
@@ -179,9 +236,13 @@ def _by_the_frame(lattice: Lattice, grid: TargetGrid, axis: int) -> int:
             "or check grid, pitch_mm and size_mm of [target]"
         )
     if len(starts) > 1:
+        remedy = (
+            "and no mark can be read: larger gaps have larger marks"
+            if grid.marks
+            else "so that it is unknown which ones: show marks between the targets (marks = true)"
+        )
         raise TargetError(
-            f"{shown} are in the frame, which cuts the grid on both sides, so that it is unknown which ones: show all {name}, "
-            "or marks between the targets (marks = true)"
+            f"{shown} are in the frame, which cuts the grid on both sides, {remedy}, or show all {name}"
         )
     return starts[0]
 

@@ -55,6 +55,9 @@ NEEDED_BY_KIND = {
 ENGRAVED_FOCAL_LENGTH, ENGRAVED_F_NUMBER, PRINTED_SIZE = 0.02, 0.03, 1e-4
 """Relative standard errors of engravings and of a target's size that a plan does not state."""
 
+MOST_TARGETS = 10_000
+"""Targets in a grid: a frame of 100 megapixels has room for as many."""
+
 LEAST_APERTURE = 0.05
 APERTURE_WORDS = f"[across, down], each {LEAST_APERTURE:g} to 1"
 NOLL_WORDS = f"[first, last] with 4 <= first <= last <= {LAST_NOLL}"
@@ -235,7 +238,16 @@ class TargetSpec(Table):
                 raise problem(
                     f"pitch_mm = {self.pitch_mm:g}: {_NO_PITCH[self.kind == 'disks']}"
                 )
+            if self.marks:
+                raise problem(
+                    "marks = true: marks stand between the targets of a grid alone"
+                )
             return
+        rows, cols = self.grid or (1, 1)
+        if rows * cols > MOST_TARGETS:
+            raise problem(
+                f"grid = [{rows}, {cols}]: allowed are up to {MOST_TARGETS} targets"
+            )
         if self.pitch_mm is None:
             raise problem("pitch_mm is missing: a grid of targets needs it")
         if not self.pitch_mm > self.size_mm:

@@ -79,6 +79,9 @@ def test_targets_that_overlap_are_refused() -> None:
         ({"target": {**GRID, "pitch_mm": 27}}, "pitch_mm = 27: allowed is more than size_mm = 27"),
         ({"target": {**GRID, "grid": None}}, "pitch_mm = 41: only a grid of targets has a pitch"),
         ({"target": {**GRID, "grid": [0, 3]}}, r"target.grid = \[0, 3\]: allowed is a whole number, 1 to"),
+        ({"target": {**GRID, "grid": [101, 100]}}, "allowed are up to 10000 targets"),
+        ({"target": {**GRID, "grid": None, "pitch_mm": None, "marks": True}}, "of a grid alone"),
+        ({"target": {**GRID, "marks": 1}}, "target.marks = 1: allowed is"),
         ({"target": {**GRID, "grid": [2]}}, r"target.grid = \[2\]: allowed is \[rows, columns\]"),
         (
             {"target": {**GRID, "corners_px": [[0, 0], [0, 9], [9, 9], [9, 0]]}},
@@ -96,7 +99,7 @@ def test_targets_that_overlap_are_refused() -> None:
         ({"field": {"order": 9}}, "field.order = 9: allowed is a whole number, 0 to 8"),
         ({"limits": {"corner_mtf50": "40 cycles/mm"}}, "limits.corner_mtf50 = '40 cycles/mm'"),
         ({"limits": {"corner_mtf50": True}}, "limits.corner_mtf50 = True: allowed is a number"),
-        ({"limits": {"tilt": 3.0}}, "limits.tilt is no known key; did you mean tilt_um_per_mm?"),
+        ({"limits": {"tilt": 3.0}}, "limits.tilt is no known key; did you mean tilt_um"),
         ({"limits": {"sharpness": 3.0}}, "limits.sharpness is no known key; known here: "),
         ({"mount": {"screws_mm": [[0, 0], [9, 0]]}}, "three or four places"),
         ({"mount": {"screws_mm": [[0, 0], [9, 9], [20, 20]]}}, "not all on one line"),
