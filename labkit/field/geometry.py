@@ -16,24 +16,26 @@ from numpy.typing import ArrayLike
 
 from labkit.field.tile_fit import (
     COMPLEX_STEP,
+    MIDDLE,
     TileFit,
     chosen,
     fit_tiles,
     prior_std,
-    whitened_residuals,
     without_outliers,
 )
 from labkit.field.tile_model import (
     BEND,
     DECENTRE,
+    DEPTH,
     FIFTH,
+    HOMOGRAPHY,
     RADIAL,
     Numbers,
     TileModel,
     distorted,
     sag_mm,
 )
-from labkit.field.tile_places import CORNERS, TileGrid, TilePlace
+from labkit.field.tile_places import CORNERS, TileGrid, TilePlace, affine_rows
 from labkit.key import Key
 from labkit.optics.field import FieldFrame
 from labkit.optics.lens import ThinLens
@@ -199,14 +201,15 @@ class FieldGeometry:
 
     @property
     def residual_px(self) -> float:
-        """RMS of the corners' coordinates about the model, px, without what was set apart."""
-        left = self.fit.residual_px[~self.fit.apart]
-        return float(np.sqrt(np.mean(left**2)))
+        """RMS of the coordinates of the tiles' middles about the model, px, without what was set apart."""
+        corners = np.stack([place.corners_px for place in self.model.places])
+        left = affine_rows(corners)[:, MIDDLE] @ self.fit.residual_px[..., None]
+        return float(np.sqrt(np.mean(left[~self.fit.apart] ** 2)))
 
     @property
     def pulls(self) -> Floats:
-        """(n, 8) residuals of each tile in standard errors, independent of each other but for the fit."""
-        return whitened_residuals(self.fit) / sqrt(self.fit.scale)
+        """(n, 6) residuals of each tile in standard errors, independent of each other but for the fit."""
+        return self.fit.pulls
 
     @property
     def outliers(self) -> tuple[Key, ...]:
@@ -217,12 +220,16 @@ class FieldGeometry:
     @property
     def unknown(self) -> tuple[str, ...]:
         """Numbers that these tiles do not determine, in words."""
-        share = np.sqrt(np.diag(self.fit.covariance)) / prior_std(self.model)
+        prior = prior_std(self.model)
+        share = np.sqrt(np.diag(self.fit.covariance)) / prior
+        bent = np.sqrt(np.diag(self.bent_fit.covariance)) / prior
+        poses = share[: self.model.shared.start].reshape(-1, HOMOGRAPHY)
         lens = share[self.model.shared]
         words = {
+            "the target's tilt": poses[:, list(DEPTH)],
             "the distortion": lens[list(RADIAL)],
             "the distortion's centre": lens[list(DECENTRE)],
-            "how far the print is bent": lens[list(BEND)],
+            "how far the print is bent": bent[self.model.shared][list(BEND)],
         }
         return tuple(name for name, at in words.items() if np.any(at > UNKNOWN_SHARE))
 
@@ -293,14 +300,14 @@ def fit_geometry(
     model = _model(frame, grid, places, lens, reference)
     plain = without_outliers(model, chosen(model, fifth=False, bend=False))
     with_fifth = fit_tiles(model, chosen(model, fifth=True, bend=False), plain.apart)
-    fifth_p = plain.gain_p_value(with_fifth)
+    shared = np.arange(model.shared.start, model.shared.stop)
+    fifth_p = with_fifth.p_value(shared[list(FIFTH)])
     fifth = fifth_p < ADOPTED_P
-    fit = with_fifth if fifth else plain
     bent = fit_tiles(model, chosen(model, fifth, bend=True), plain.apart)
-    bend_p = fit.gain_p_value(bent)
-    if not bend_p < ADOPTED_P:
-        return FieldGeometry(fit, fifth_p, None, bend_p, bent)
-    return FieldGeometry(bent, fifth_p, _bend(bent, bend_p), bend_p, bent)
+    bend_p = bent.p_value(shared[list(BEND)])
+    if bend_p < ADOPTED_P:
+        return FieldGeometry(bent, fifth_p, _bend(bent, bend_p), bend_p, bent)
+    return FieldGeometry(with_fifth if fifth else plain, fifth_p, None, bend_p, bent)
 
 
 def _model(

@@ -16,20 +16,26 @@ from labkit.field.tile_model import (
     BEND,
     CHANNEL_NUMBERS,
     DECENTRE,
+    DEPTH,
     FIFTH,
     HOMOGRAPHY,
     RADIAL,
     SHARED,
     TileModel,
 )
-from labkit.field.tile_places import usual_covariance
+from labkit.field.tile_places import affine_rows, usual_covariances
 from labkit.types import Bools, Floats, Integers
 
 COMPLEX_STEP = 1e-30
 """Of derivatives by complex steps, which lose no digits however small the step."""
 
-VALUES = 8
-"""Of an observation: two of each corner."""
+VALUES = 6
+"""Of an observation: the place of a tile's middle, and the linear map about the middle."""
+
+MIDDLE, LINEAR = slice(0, 2), slice(2, 6)
+
+USUAL_DEPTH = 1.0
+"""Prior standard deviation of the relative change of depth from the middle of the target to its corner."""
 
 USUAL_DISTORTION = 0.2
 """Prior standard deviation of each term of distortion in the corner of the frame, of the corner's image height."""
@@ -49,6 +55,12 @@ APART_P = 1e-4
 ITERATIONS, SETTLED_STEP = 30, 1e-4
 """Most steps, and the step, in standard errors, after which the numbers have settled."""
 
+EQUAL_VALUES = 4
+"""Values that speak for equal variances of middles and linear maps."""
+
+SETTLED_SCALE = 1e-3
+"""Relative change of a variance that has settled."""
+
 LEAST_SCALE = 1e-16
 """Variance of the corners, px squared, that stands for rounding errors."""
 
@@ -60,79 +72,92 @@ class TileFit:
     Parameters
     ----------
     model : whose numbers
+    fitted : (size,) numbers that were fitted
     numbers, covariance : (size,), (size, size), with the residuals' scale in the latter; 0 where not fitted
+    pulls : (n, 6) residuals of the tiles' middles and linear maps, in standard errors, independent but for the fit
     residual_px : (n, 8) corners as observed less those of the model
-    squares : (n,) of the observations, in their stated covariances
     apart : (n,) observations that contradict the others, and were left out
-    scale : variance of the corners over the stated one
-    cost : sum of squares of observations and priors
     spare : observations' values less fitted numbers
     """
 
     model: TileModel
+    fitted: Bools
     numbers: Floats
     covariance: Floats
+    pulls: Floats
     residual_px: Floats
-    squares: Floats
     apart: Bools
-    scale: float
-    cost: float
     spare: int
 
-    def gain_p_value(self, larger: TileFit) -> float:
-        """Return the probability of a gain as large by the further numbers of a larger fit, if all of them are zero.
-
-        The ratio of variances has Fisher's distribution.
-        """
-        further = self.spare - larger.spare
-        if larger.spare <= 0:
+    def p_value(self, which: Integers) -> float:
+        """Return the probability of some numbers as far from zero if all of them are zero: Wald's test, with Fisher's
+        distribution."""
+        if self.spare <= 0:
             return 1.0
-        gained = max(self.cost - larger.cost, 0.0) / further
-        left = larger.cost / larger.spare
-        return float(f_ratio.sf(gained / left, further, larger.spare)) if left > 0 else 1.0
+        values = self.numbers[which]
+        inverse = _inverse(self.covariance[np.ix_(which, which)])
+        square = float(values @ inverse @ values) / len(which)
+        return float(f_ratio.sf(square, len(which), self.spare))
 
 
 def fit_tiles(model: TileModel, fitted: Bools, apart: Bools) -> TileFit:
-    """Fit the numbers that `fitted` (size,) marks to the observations that `apart` (n,) does not mark."""
+    """Fit the numbers that `fitted` (size,) marks to the observations that `apart` (n,) does not mark.
+
+    Middles and linear maps of the tiles have each a variance of their own, by what is left
+    of them: a print's or a blur's error of size need not be one of place.
+    """
     numbers = _start(model)
     whitening = _whitening(model)
     free = np.flatnonzero(fitted)
     known = prior_std(model)[free] ** -2
-    spare = VALUES * int((~apart).sum()) - len(free)
-    scale = 1.0
+    scales = np.ones(VALUES)
     for _ in range(ITERATIONS):
         left, rows = _whitened(model, numbers, whitening)
-        scale = _scale(model, left[~apart], spare, scale)
-        inside = rows[~apart].reshape(-1, model.size)[:, free]
-        covariance = _inverse(inside.T @ inside / scale + np.diag(known))
-        slope = inside.T @ left[~apart].ravel() / scale - numbers[free] * known
+        root = np.sqrt(scales)
+        inside = (rows[~apart] / root[:, None])[:, :, free]
+        flat = inside.reshape(-1, len(free))
+        covariance = _inverse(flat.T @ flat + np.diag(known))
+        slope = flat.T @ (left[~apart] / root).ravel() - numbers[free] * known
         step = covariance @ slope
         numbers[free] += step
-        if np.all(np.abs(step) <= SETTLED_STEP * np.sqrt(np.diag(covariance))):
+        bound = np.einsum("nvi,ij,nvj->v", inside, covariance, inside, optimize=True)
+        before, scales = scales, _scales(model, left[~apart], bound)
+        settled = np.abs(step) <= SETTLED_STEP * np.sqrt(np.diag(covariance))
+        if np.all(settled) and np.allclose(scales, before, rtol=SETTLED_SCALE):
             break
     left, _ = _whitened(model, numbers, whitening)
-    squares = (left**2).sum(axis=1)
     everywhere = np.zeros((model.size, model.size))
     everywhere[np.ix_(free, free)] = covariance
-    cost = float(squares[~apart].sum() + scale * known @ numbers[free] ** 2)
-    residual_px = _residual_px(model, numbers)
     return TileFit(
-        model, numbers, everywhere, residual_px, squares, apart, scale, cost, spare
+        model,
+        fitted,
+        numbers,
+        everywhere,
+        left / np.sqrt(scales),
+        _residual_px(model, numbers),
+        apart,
+        VALUES * int((~apart).sum()) - len(free),
     )
 
 
-def whitened_residuals(fit: TileFit) -> Floats:
-    """Return the residuals (n, 8) of a fit, in stated standard errors and independent of each other."""
-    left = _whitening(fit.model) @ fit.residual_px[..., None]
-    return np.asarray(left[..., 0])
+def _scales(model: TileModel, left: Floats, bound: Floats) -> Floats:
+    """Return the variance (6,) of residuals (n, 6) over the stated one, for middles and for linear maps.
 
-
-def _scale(model: TileModel, left: Floats, spare: int, before: float) -> float:
-    """Return the variance of residuals over the stated one; no less than 1 where all covariances are stated."""
-    if spare <= 0:
-        return before
+    bound : (6,) values that the fitted numbers take up. Few values to spare hardly tell the
+    two variances apart, which are then alike: each begins with `EQUAL_VALUES` values of the
+    variance of both. Where all covariances are stated none is less than 1.
+    """
     stated = all(p.covariance_px2 is not None for p in model.places)
-    return max(float((left**2).sum()) / spare, 1.0 if stated else LEAST_SCALE)
+    squares = (left**2).sum(axis=0)
+    spare = len(left) - bound
+    if spare.sum() < 1:
+        return np.ones(VALUES)
+    both = squares.sum() / spare.sum()
+    scales = np.empty(VALUES)
+    for part in (MIDDLE, LINEAR):
+        total = squares[part].sum() + EQUAL_VALUES * both
+        scales[part] = total / (spare[part].sum() + EQUAL_VALUES)
+    return np.maximum(scales, 1.0 if stated else LEAST_SCALE)
 
 
 def _inverse(normal: Floats) -> Floats:
@@ -150,13 +175,14 @@ def without_outliers(model: TileModel, fitted: Bools) -> TileFit:
     apart = np.zeros(len(model.places), bool)
     while True:
         fit = fit_tiles(model, fitted, apart)
-        usual = np.median(fit.squares[~apart]) / chi2.median(VALUES)
+        squares = (fit.pulls**2).sum(axis=1)
+        usual = np.median(squares[~apart]) / chi2.median(VALUES)
         largest = chi2.isf(APART_P / len(apart), VALUES) * usual
-        wrong = ~apart & (fit.squares > largest)
+        wrong = ~apart & (squares > largest)
         if not wrong.any() or 4 * (1 + apart.sum()) > len(apart):
             return fit
         apart = apart.copy()
-        apart[np.argmax(np.where(wrong, fit.squares, 0.0))] = True
+        apart[np.argmax(np.where(wrong, squares, 0.0))] = True
 
 
 def chosen(model: TileModel, fifth: bool, bend: bool) -> Bools:
@@ -172,18 +198,18 @@ def _residual_px(model: TileModel, numbers: Floats) -> Floats:
     """Return the observed corners (n, 8) less those of the model, px."""
     corners = model.frame.places_px(np.real(model.corners_mm(numbers)))
     observed = np.stack([p.corners_px for p in model.places])
-    return np.asarray((observed - corners).reshape(-1, VALUES))
+    return np.asarray((observed - corners).reshape(-1, 8))
 
 
 def _whitened(
     model: TileModel, numbers: Floats, whitening: Floats
 ) -> tuple[Floats, Floats]:
-    """Return residuals (n, 8) and the corners' derivatives (n, 8, size), both in standard errors."""
-    rows = np.zeros((len(model.places), VALUES, model.size))
+    """Return residuals (n, 6) and their derivatives (n, 6, size), both in standard errors."""
+    rows = np.zeros((len(model.places), 8, model.size))
     for places in _independent(model):
         moved = numbers.astype(complex)
         moved[places[places >= 0]] += 1j * COMPLEX_STEP
-        slope = np.imag(model.corners_mm(moved)).reshape(-1, VALUES) / COMPLEX_STEP
+        slope = np.imag(model.corners_mm(moved)).reshape(-1, 8) / COMPLEX_STEP
         moves = np.flatnonzero(places >= 0)
         rows[moves, :, places[moves]] = slope[moves]
     rows = rows / (1e-3 * model.frame.pixel_pitch_um)
@@ -206,18 +232,23 @@ def _independent(model: TileModel) -> list[Integers]:
 
 
 def _whitening(model: TileModel) -> Floats:
-    """Return matrices (n, 8, 8) that turn the observations' errors into independent ones of size one."""
-    stated = [
-        usual_covariance() if p.covariance_px2 is None else p.covariance_px2
-        for p in model.places
-    ]
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(np.stack(stated))))
+    """Return matrices (n, 6, 8) that turn the corners into six values with independent errors of size one."""
+    corners = np.stack([p.corners_px for p in model.places])
+    covariances = usual_covariances(corners)
+    for k, place in enumerate(model.places):
+        if place.covariance_px2 is not None:
+            covariances[k] = place.covariance_px2
+    rows = affine_rows(corners)
+    six = rows @ covariances @ rows.swapaxes(1, 2)
+    return np.asarray(np.linalg.solve(np.linalg.cholesky(six), rows))
 
 
 def prior_std(model: TileModel) -> Floats:
-    """Return the standard deviation (size,) of each number before the photographs; infinite for homographies."""
+    """Return the standard deviation (size,) of each number before the photographs; infinite for linear maps and places."""
     corner_mm = model.frame.radius_mm
     std = np.full(model.size, np.inf)
+    for station in range(len(model.ranges_mm)):
+        std[model.homography(station)][list(DEPTH)] = USUAL_DEPTH
     shared = std[model.shared]
     shared[list(RADIAL)] = USUAL_DISTORTION / corner_mm**2
     shared[list(DECENTRE)] = USUAL_DISTORTION * USUAL_DECENTRE / corner_mm

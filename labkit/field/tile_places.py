@@ -2,6 +2,10 @@
 
 A fit gives each tile a plane homography. A lens that distorts bends the tile, so that the
 corners of the fit are those of the homography nearest to the bent tile, not the bent corners.
+
+Of a fit's eight numbers six are used: the place of the tile's middle, and the linear map about
+the middle. A tile's own convergence is left out: beside the tiles' places and sizes it tells
+next to nothing about the target's tilt, and blur that changes over a tile passes for it.
 """
 
 from __future__ import annotations
@@ -134,6 +138,32 @@ def usual_covariance() -> Floats:
     outside = _homographies(CORNERS)
     covariance = outside @ np.linalg.solve(inside.T @ (weights * inside), outside.T)
     return np.asarray(covariance / np.trace(covariance) * len(covariance))
+
+
+def affine_rows(corners_px: Floats) -> Floats:
+    """Return (n, 6, 8): displacements of the middle, and the linear map about the middle, by displacements of the corners.
+
+    Both are along the sides of the tiles (n, 4, 2) as they appear, px. Convergence does not
+    change them.
+    """
+    basis = _turned(corners_px, _homographies(CORNERS))
+    return np.asarray(np.linalg.inv(basis)[:, [2, 5, 0, 1, 3, 4]])
+
+
+def usual_covariances(corners_px: Floats) -> Floats:
+    """Return `usual_covariance` (n, 8, 8) for tiles that appear turned."""
+    root = _turned(corners_px, np.asarray(np.linalg.cholesky(usual_covariance())))
+    return np.asarray(root @ root.swapaxes(1, 2))
+
+
+def _turned(corners_px: Floats, columns: Floats) -> Floats:
+    """Return displacements (n, 8, k) of the corners as the tiles (n, 4, 2) appear in the photographs."""
+    linear = corners_px.swapaxes(1, 2) @ CORNERS
+    size = np.sqrt(np.abs(np.linalg.det(linear)))
+    turn = linear / np.maximum(size, 1e-12)[:, None, None]
+    by_corner = columns.reshape(1, 4, 2, -1)
+    turned = np.einsum("nij,xcjk->ncik", turn, by_corner)
+    return np.asarray(turned.reshape(len(corners_px), 8, -1))
 
 
 def _homographies(places: Floats) -> Floats:

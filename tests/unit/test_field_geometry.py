@@ -71,7 +71,7 @@ def test_the_golden_field_s_places_give_its_distortion_and_lateral_colour() -> N
         field.FRAME,
         TileGrid(field.GRID.shape, field.GRID.pitch_mm, (POINT_MM, POINT_MM)),
         [
-            TilePlace(Key(*key), np.tile(at, (4, 1)), _of_the_mean(1e-3))
+            TilePlace(Key(*key), at + POINT_MM * CORNERS, _of_the_middle(1e-3))
             for key, at in centres.items()
         ],
         field.LENS,
@@ -85,10 +85,15 @@ def test_the_golden_field_s_places_give_its_distortion_and_lateral_colour() -> N
         assert np.abs(lateral_px - expected).max() < 2e-3
 
 
-def _of_the_mean(std_px: float) -> Floats:
-    """Return a covariance (8, 8) of corners whose mean alone is known."""
-    mean = np.kron(np.full((4, 4), 0.25), np.eye(2))
-    return np.asarray(4 * std_px**2 * mean + 1e6 * (np.eye(8) - mean))
+def _of_the_middle(std_px: float) -> Floats:
+    """Return a covariance (8, 8) of corners of which the middle alone is known."""
+    y, x = CORNERS.T
+    none = np.zeros(4)
+    # the linear map, and convergence
+    pairs = [(y, none), (x, none), (none, y), (none, x), (y * y, y * x), (x * y, x * x)]
+    loose = np.stack([np.stack(pair, axis=1).ravel() for pair in pairs], axis=1)
+    middle = np.kron(np.ones((4, 1)), np.eye(2))
+    return np.asarray(std_px**2 * middle @ middle.T + 1e6 * loose @ loose.T)
 
 
 def test_a_bent_print_is_found_and_a_flat_one_is_not() -> None:
