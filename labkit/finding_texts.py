@@ -147,6 +147,21 @@ TEXTS = {
     "panel-aperture-found": (
         "a stripe of the panel's pixels is lit over {across} of its third, and over {down} of the pitch"
     ),
+    # places of the field's tiles
+    "tile-misplaced": (
+        "{where}: its place contradicts the other tiles; it is left out of distortion, lateral colour and the target's pose"
+    ),
+    "target-bent": (
+        "the target is bent by {depth}, as the places of its tiles show (p = {p_value:.1g}): use a panel, or a print on glass"
+    ),
+    "places-undetermined": (
+        "the places of the tiles do not determine {list}: photograph more tiles, or the target at more ranges"
+    ),
+    "tilt-untested": "{words}",
+    "perspective-contradicted": (
+        "focus follows {share_words} of the target's tilt that the perspective shows, not all of it (p = {p_value:.1g}): the "
+        "sensor's tilt is estimated with this share; was the sensor shifted, or the target's pitch_mm or size_mm wrong?"
+    ),
     # edges
     "ranges-not-determined": (
         "ranges are not determined: give --psf SESSION with a best focus, or --focus MM"

@@ -26,7 +26,7 @@ from labkit.field.tile_fit import (
 from labkit.field.tile_model import (
     BEND,
     DECENTRE,
-    DEPTH,
+    DEPTHS,
     FIFTH,
     HOMOGRAPHY,
     RADIAL,
@@ -226,7 +226,7 @@ class FieldGeometry:
         poses = share[: self.model.shared.start].reshape(-1, HOMOGRAPHY)
         lens = share[self.model.shared]
         words = {
-            "the target's tilt": poses[:, list(DEPTH)],
+            "the target's tilt": poses[:, list(DEPTHS)],
             "the distortion": lens[list(RADIAL)],
             "the distortion's centre": lens[list(DECENTRE)],
             "how far the print is bent": bent[self.model.shared][list(BEND)],

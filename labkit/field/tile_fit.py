@@ -16,7 +16,7 @@ from labkit.field.tile_model import (
     BEND,
     CHANNEL_NUMBERS,
     DECENTRE,
-    DEPTH,
+    DEPTHS,
     FIFTH,
     HOMOGRAPHY,
     RADIAL,
@@ -248,7 +248,7 @@ def prior_std(model: TileModel) -> Floats:
     corner_mm = model.frame.radius_mm
     std = np.full(model.size, np.inf)
     for station in range(len(model.ranges_mm)):
-        std[model.homography(station)][list(DEPTH)] = USUAL_DEPTH
+        std[model.homography(station)][list(DEPTHS)] = USUAL_DEPTH
     shared = std[model.shared]
     shared[list(RADIAL)] = USUAL_DISTORTION / corner_mm**2
     shared[list(DECENTRE)] = USUAL_DISTORTION * USUAL_DECENTRE / corner_mm

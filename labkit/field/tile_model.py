@@ -30,7 +30,7 @@ Numbers = NDArray[Any]
 HOMOGRAPHY = 8
 """Numbers of a station's pinhole: rows of the matrix, whose last element is 1."""
 
-DEPTH = (6, 7)
+DEPTHS = (6, 7)
 """Places among them of the relative change of depth over the target, down and right."""
 
 RADIAL, DECENTRE, FIFTH, BEND = (0,), (1, 2), (3,), (4, 5, 6)

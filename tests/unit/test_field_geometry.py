@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
+from labkit.field.findings import geometry_findings
 from labkit.field.geometry import FieldGeometry, fit_geometry
 from labkit.field.tile_fit import chosen, fit_tiles
 from labkit.field.tile_model import FIFTH
@@ -104,6 +105,7 @@ def test_a_bent_print_is_found_and_a_flat_one_is_not() -> None:
     )
     assert saddle.bend is not None
     assert saddle.bend.p_value < 1e-6
+    assert [each.code for each in geometry_findings(saddle)] == ["target-bent"]
     down, right, _ = saddle.bend.curvatures_per_mm
     # the saddle is well known, the dome is not: at these ranges it looks like distortion
     assert down - right == pytest.approx(2e-4, rel=0.1)
@@ -121,6 +123,7 @@ def test_a_tile_that_contradicts_the_others_is_named_and_left_out() -> None:
     places[7] = TilePlace(places[7].key, places[7].corners_px + 1.0)
     found = fit(places)
     assert found.outliers == (places[7].key,)
+    assert [each.key for each in geometry_findings(found)] == [places[7].key]
     assert abs(found.k1_per_mm2.value - 9e-4) < 4 * found.k1_per_mm2.std
 
 
@@ -131,6 +134,8 @@ def test_one_tile_leaves_distortion_unknown_and_says_so() -> None:
     found = fit(places[:1])
     assert "the distortion" in found.unknown
     assert found.centre_px is None
+    (finding,) = geometry_findings(found)
+    assert "do not determine the target's tilt, the distortion" in finding.text
     whole = fit(places)
     assert "the distortion" not in whole.unknown
     with pytest.raises(ValueError, match="no tile"):

@@ -156,6 +156,25 @@ SAMPLES = [
     camera_parts_missing({"veil": "veiling glare"}, MOVES),
     stated_model_moves(MOVES, 0, 4),
     found("panel-aperture-found", None, {"across": "0.8 ± 0.1", "down": "0.9 ± 0.1"}),
+    found("tile-misplaced", Key(3200.0, "G", (0, 1))),
+    found(
+        "target-bent",
+        None,
+        {"depth": "0.50 ± 0.02 mm"},
+        depth_mm={"value": 0.5, "std": 0.02},
+        p_value=1e-9,
+    ),
+    found(
+        "places-undetermined", None, {"list": "the distortion"}, unknown=["the distortion"]
+    ),
+    found("tilt-untested", None, {"words": "the sensor's tilt rests on perspective alone"}),
+    found(
+        "perspective-contradicted",
+        None,
+        {"share_words": "0.02 ± 0.01"},
+        share={"value": 0.02, "std": 0.01},
+        p_value=1e-9,
+    ),
     found("ranges-not-determined"),
     found("psf-of-another-camera", difference="lens.f_number = 4, the session's is 2.8"),
     found(

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
+from labkit.field.findings import tilt_findings
 from labkit.field.geometry import fit_geometry
 from labkit.field.target_tilt import TargetTilts, sensor_tilt, target_tilts
 from labkit.field.tile_places import CORNERS, TilePlace
@@ -74,6 +75,8 @@ def test_ranges_tell_a_leaning_target_from_a_leaning_sensor(share: float) -> Non
         pulls.append((found.value - tilt) / np.sqrt(np.diag(found.covariance)))
         contradicted += found.perspective_contradicted
         assert not found.unknown
+        codes = [finding.code for finding in tilt_findings(found)]
+        assert codes == ["perspective-contradicted"] * found.perspective_contradicted
     assert kstest(np.ravel(pulls), "norm").pvalue > 0.05
     # one in a hundred by chance: 3 of 300, and 4 standard deviations
     assert contradicted == 300 if share == 0 else contradicted <= 10
@@ -87,6 +90,7 @@ def test_what_one_range_or_one_tilt_leaves_unknown_is_said() -> None:
     found = sensor_tilt(np.array([[3.0, 1.0]]), 1e-4 * np.eye(2), one)
     assert found.value == pytest.approx([3 - one.focus_um_per_mm[0, 0], 1])
     assert "a second range" in found.unknown[0]
+    assert [finding.code for finding in tilt_findings(found)] == ["tilt-untested"]
     alike = TargetTilts(
         tilts.ranges_mm, np.full((3, 2), 1e-3), tilts.covariance, np.ones(3), tilts.um
     )
