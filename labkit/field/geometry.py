@@ -30,6 +30,7 @@ from labkit.field.tile_model import (
     FIFTH,
     HOMOGRAPHY,
     RADIAL,
+    SIZE,
     Numbers,
     TileModel,
     distorted,
@@ -135,6 +136,11 @@ class FieldGeometry:
         """Distortion of fifth order; None where the places do not ask for it."""
         fitted = self.fifth_p_value < ADOPTED_P
         return _shared(self.fit, FIFTH[0], "/mm⁴") if fitted else None
+
+    @property
+    def tile_growth(self) -> Uncertain:
+        """Size of the tiles over that of the plan, less 1, with the pitch as stated."""
+        return _shared(self.fit, SIZE[0], "")
 
     @property
     def centre_px(self) -> tuple[Floats, Floats] | None:

@@ -21,6 +21,7 @@ from labkit.field.tile_model import (
     HOMOGRAPHY,
     RADIAL,
     SHARED,
+    SIZE,
     TileModel,
 )
 from labkit.field.tile_places import affine_rows, usual_covariances
@@ -45,6 +46,9 @@ USUAL_DECENTRE = 0.2
 
 USUAL_CURVATURE_PER_MM = 1e-3
 """Prior standard deviation of a print's curvature: a radius of a metre."""
+
+USUAL_GROWTH = 0.01
+"""Prior standard deviation of the tiles' size over that of the plan, at the stated pitch: ink spreads, panels round."""
 
 USUAL_COLOUR = 0.01
 """Prior standard deviation of lateral colour in the corner of the frame, of the corner's image height."""
@@ -254,6 +258,7 @@ def prior_std(model: TileModel) -> Floats:
     shared[list(DECENTRE)] = USUAL_DISTORTION * USUAL_DECENTRE / corner_mm
     shared[list(FIFTH)] = USUAL_DISTORTION / corner_mm**4
     shared[list(BEND)] = USUAL_CURVATURE_PER_MM
+    shared[list(SIZE)] = USUAL_GROWTH
     colours = std[model.shared.stop :].reshape(-1, CHANNEL_NUMBERS)
     colours[:] = USUAL_COLOUR * np.array([1.0, corner_mm, corner_mm])
     return std

@@ -33,10 +33,11 @@ HOMOGRAPHY = 8
 DEPTHS = (6, 7)
 """Places among them of the relative change of depth over the target, down and right."""
 
-RADIAL, DECENTRE, FIFTH, BEND = (0,), (1, 2), (3,), (4, 5, 6)
-"""Places of k1, b, k2, and the print's curvatures among the numbers that all stations share."""
+RADIAL, DECENTRE, FIFTH, BEND, SIZE = (0,), (1, 2), (3,), (4, 5, 6), (7,)
+"""Places of k1, b, k2, the print's curvatures, and the tiles' relative growth against the plan at the stated pitch among
+the numbers that all stations share."""
 
-SHARED = 7
+SHARED = 8
 
 CHANNEL_NUMBERS = 3
 """Numbers of a channel: s, and t down and right in mm."""
@@ -121,12 +122,20 @@ class TileModel:
         within = np.concatenate([CORNERS, nodes()])
         return np.stack([self.grid.places_mm(p.tile, within) for p in self.places])
 
+    @cached_property
+    def from_middle_mm(self) -> Floats:
+        """(n, 4 + nodes, 2) the same from the middle of the tile."""
+        middles = self.target_mm[:, :4].mean(axis=1, keepdims=True)
+        return np.asarray(self.target_mm - middles)
+
     def _pinhole(self, numbers: Numbers, bend: Numbers) -> Numbers:
         """Return the pinhole's image (n, points, 2) of a print with curvatures `bend`."""
         count = HOMOGRAPHY * len(self.ranges_mm)
         by_station = matrices(numbers[:count].reshape(-1, HOMOGRAPHY), self.unit_mm)
+        growth = numbers[self.shared][SIZE[0]]
         ones = np.ones((*self.target_mm.shape[:2], 1))
-        places = np.concatenate([self.target_mm, ones], axis=2)
+        printed = self.target_mm + growth * self.from_middle_mm
+        places = np.concatenate([printed, ones], axis=2)
         image = places @ by_station[self.stations].swapaxes(1, 2)
         behind = sag_mm(self.target_mm, bend) / self.distances_mm[self.stations][:, None]
         return image[..., :2] / (image[..., 2] + behind)[..., None]

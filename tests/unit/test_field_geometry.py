@@ -11,7 +11,14 @@ from labkit.field.findings import geometry_findings
 from labkit.field.geometry import FieldGeometry, fit_geometry
 from labkit.field.tile_fit import chosen, fit_tiles
 from labkit.field.tile_model import FIFTH
-from labkit.field.tile_places import CORNERS, TileGrid, TilePlace, corners_by_nodes, nodes
+from labkit.field.tile_places import (
+    CORNERS,
+    TileGrid,
+    TilePlace,
+    corners_by_nodes,
+    nodes,
+    usual_covariance,
+)
 from labkit.key import Key
 from labkit.types import Floats
 from tests import tile_samples as field
@@ -84,6 +91,44 @@ def test_the_golden_field_s_places_give_its_distortion_and_lateral_colour() -> N
         lateral_px, _ = found.lateral_px(channel, CORNER_PX)
         expected = truth["lateral"][channel] * (CORNER_PX - truth["axis_px"])
         assert np.abs(lateral_px - expected).max() < 2e-3
+
+
+def through_a_pinhole(on_target: Floats, range_mm: float, lean: Floats) -> Floats:
+    """Return the image of places (n, 2) on a leaning target, mm, with distortion."""
+    depth = range_mm + on_target @ np.tan(lean)
+    flat = 36.0 * on_target / depth[:, None]
+    return np.asarray(flat * (1 + 9e-4 * (flat**2).sum(axis=1, keepdims=True)))
+
+
+def linear_tiles(std_px: float, rng: np.random.Generator) -> list[TilePlace]:
+    """Return tiles drawn by the linear map at their middles, as the golden field's are."""
+    root = np.linalg.cholesky(usual_covariance())
+    step_mm = 1e-3
+    places = []
+    for range_mm, lean in zip(
+        field.RANGES_MM, rng.uniform(-0.07, 0.07, (3, 2)), strict=True
+    ):
+        image = partial(through_a_pinhole, range_mm=range_mm, lean=lean)
+        for tile in field.TILES:
+            middle = field.GRID.places_mm(tile, np.zeros((1, 2)))
+            step = step_mm * np.eye(2)
+            by_mm = (image(middle + step) - image(middle - step)) / (2 * step_mm)
+            away = field.GRID.places_mm(tile, CORNERS) - middle
+            at = field.FRAME.places_px(image(middle) + away @ by_mm)
+            error = std_px * (root @ rng.normal(size=8)).reshape(4, 2)
+            places.append(TilePlace(Key(range_mm, "G", tile), at + error))
+    return places
+
+
+def test_tiles_that_the_distortion_does_not_bend_have_its_numbers_too() -> None:
+    """A bent tile is larger by k1 times its half side squared, 2e-4 or 0.005 px here: as a print's error of size."""
+    places = linear_tiles(0.002, np.random.default_rng(9))
+    found = fit(places)
+    assert (found.k2_per_mm4, found.bend) == (None, None)
+    corner_mm = field.FRAME.radius_mm
+    away_mm = corner_mm * (found.percent(corner_mm).value / 100 - 9e-4 * corner_mm**2)
+    assert abs(away_mm) / 5.2e-3 < 0.004
+    assert found.residual_px < 0.0007
 
 
 def _of_the_middle(std_px: float) -> Floats:
