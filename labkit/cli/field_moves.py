@@ -167,10 +167,9 @@ def _angles(turned: str) -> tuple[float, ...]:
 
 def _field(results: Results) -> FieldModel:
     """Return the field of results. Raises DataError for results without one."""
-    field: FieldModel | None = getattr(results, "field", None)
-    if field is None:
+    if results.field is None:
         raise DataError(
             f"{results.folder}: no field was estimated, which needs several tiles: "
             "[target] grid, or [field] tiles, in the plan"
         )
-    return field
+    return results.field

@@ -28,9 +28,9 @@ from labkit.field.tile_model import (
     DECENTRE,
     DEPTHS,
     FIFTH,
-    GROWTH,
     HOMOGRAPHY,
     RADIAL,
+    TILE_GROWTH,
     Numbers,
     TileModel,
     distorted,
@@ -140,7 +140,7 @@ class FieldGeometry:
     @property
     def tile_growth(self) -> Uncertain:
         """Size of the tiles over that of the plan, less 1, with the pitch as stated."""
-        return _shared(self.fit, GROWTH[0], "")
+        return _shared(self.fit, TILE_GROWTH[0], "")
 
     @property
     def centre_px(self) -> tuple[Floats, Floats] | None:

@@ -18,10 +18,10 @@ from labkit.field.tile_model import (
     DECENTRE,
     DEPTHS,
     FIFTH,
-    GROWTH,
     HOMOGRAPHY,
     RADIAL,
     SHARED,
+    TILE_GROWTH,
     TileModel,
 )
 from labkit.field.tile_places import affine_rows, usual_covariances
@@ -258,7 +258,7 @@ def prior_std(model: TileModel) -> Floats:
     shared[list(DECENTRE)] = USUAL_DISTORTION * USUAL_DECENTRE / corner_mm
     shared[list(FIFTH)] = USUAL_DISTORTION / corner_mm**4
     shared[list(BEND)] = USUAL_CURVATURE_PER_MM
-    shared[list(GROWTH)] = USUAL_GROWTH
+    shared[list(TILE_GROWTH)] = USUAL_GROWTH
     colours = std[model.shared.stop :].reshape(-1, CHANNEL_NUMBERS)
     colours[:] = USUAL_COLOUR * np.array([1.0, corner_mm, corner_mm])
     return std

@@ -33,7 +33,7 @@ HOMOGRAPHY = 8
 DEPTHS = (6, 7)
 """Places among them of the relative change of depth over the target, down and right."""
 
-RADIAL, DECENTRE, FIFTH, BEND, GROWTH = (0,), (1, 2), (3,), (4, 5, 6), (7,)
+RADIAL, DECENTRE, FIFTH, BEND, TILE_GROWTH = (0,), (1, 2), (3,), (4, 5, 6), (7,)
 """Places of k1, b, k2, the print's curvatures, and the tiles' relative growth against the plan at the stated pitch among
 the numbers that all stations share."""
 
@@ -132,7 +132,7 @@ class TileModel:
         """Return the pinhole's image (n, points, 2) of a print with curvatures `bend`."""
         count = HOMOGRAPHY * len(self.ranges_mm)
         by_station = matrices(numbers[:count].reshape(-1, HOMOGRAPHY), self.unit_mm)
-        growth = numbers[self.shared][GROWTH[0]]
+        growth = numbers[self.shared][TILE_GROWTH[0]]
         ones = np.ones((*self.target_mm.shape[:2], 1))
         printed = self.target_mm + growth * self.from_middle_mm
         places = np.concatenate([printed, ones], axis=2)
