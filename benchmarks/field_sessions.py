@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import csv
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -80,6 +80,7 @@ class FieldSession:
     ranges_mm: tuple[float, ...]
     size_mm: float
     frames: int = 1
+    order: int = ORDER
 
     @property
     def plan(self) -> Plan:
@@ -99,7 +100,7 @@ class FieldSession:
                 ],
                 "target": {
                     "kind": "sierpinski",
-                    "order": ORDER,
+                    "order": self.order,
                     "size_mm": self.size_mm,
                     "grid": list(grid.shape),
                     "pitch_mm": grid.pitch_mm,
@@ -113,7 +114,7 @@ class FieldSession:
         grid = self.settings.grid
         cell_mm = self.settings.panel.pitch_mm
         pitch = round(grid.pitch_mm / cell_mm)
-        cells = (255 * carpet_cells(ORDER)).astype(np.uint8)
+        cells = (255 * carpet_cells(self.order)).astype(np.uint8)
         side = len(cells)
         picture = np.zeros([(n - 1) * pitch + side for n in grid.shape], dtype=np.uint8)
         for row, col in np.ndindex(*grid.shape):
@@ -130,6 +131,7 @@ def field_session(
     tile_px: int = TILE_PX,
     patch_px: float = 0.0,
     pose: TruePose | None = None,
+    order: int = ORDER,
 ) -> FieldSession:
     """Return a session of a grid of carpets that fills the frame.
 
@@ -142,6 +144,7 @@ def field_session(
     tile_px : pixels of the frame for each tile
     patch_px : 0 for one PSF a tile, else the distance of places whose PSFs are interpolated
     pose : errors of the aim; None for half a degree of roll and tilts of a tenth
+    order : of the carpets
 
     Raises
     ------
@@ -151,7 +154,7 @@ def field_session(
     shape = grid[0] * tile_px, grid[1] * tile_px
     scale = lens.focal_length_mm / (min(ranges_mm) - lens.focal_length_mm)
     pitch_mm = tile_px * PITCH_UM * 1e-3 / scale
-    cells = 3**ORDER
+    cells = 3**order
     cell_mm = round(FILLED * pitch_mm / cells, 4)
     grid_mm = round(pitch_mm / cell_mm) * cell_mm
     seen_mm = PITCH_UM * 1e-3 * max(ranges_mm) / lens.focal_length_mm
@@ -179,7 +182,8 @@ def field_session(
         patch_px,
     )
     refuse_wild(settings)
-    return FieldSession(settings, tuple(ranges_mm), round(cells * cell_mm, 6))
+    size_mm = round(cells * cell_mm, 6)
+    return FieldSession(settings, tuple(ranges_mm), size_mm, order=order)
 
 
 def make(session: FieldSession, folder: Path) -> Truth:
@@ -227,7 +231,7 @@ def main() -> None:
     session = field_session(
         (rows, cols), tuple(asked.ranges), seed=asked.seed, patch_px=asked.patch_px
     )
-    make(replace(session, frames=1), asked.folder)
+    make(session, asked.folder)
 
 
 if __name__ == "__main__":

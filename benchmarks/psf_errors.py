@@ -24,15 +24,10 @@ def psf_errors(results: Results, lens: TrueLens, truth: Truth) -> list[list[floa
     The stated error is the mean of the sum, for errors as large as those of the wavefront's modes and cone: sqrt(2 / pi) times
     the sum of the samples' standard errors.
     """
-    visits = {visit.range_mm: visit for visit in truth.visits}
     errors = []
     for w in results.wavefronts:
         assert w.range_mm is not None
-        waves = {
-            **truth.modes_waves[w.channel],
-            4: visits[w.range_mm].defocus_waves[w.channel],
-        }
-        errors.append([*_error(w, lens, waves)])
+        errors.append([*_error(w, lens, truth.waves(w.range_mm, w.channel))])
     return errors
 
 

@@ -57,6 +57,7 @@ class Bench:
         self._asked_mm = 0.0
         self._visits: dict[float, Visit] = {}
         self._codes = np.zeros(settings.panel.pixels, dtype=np.int16)
+        self._shown_mm = (0.0, 0.0)  # down, right
         self._seen: dict[bytes, Floats32] = {}
         self._draw()
 
@@ -125,6 +126,11 @@ class Bench:
             )
         top = (rows - height) // 2
         left = (cols - width) // 2
+        pitch_mm = self.settings.panel.pitch_mm
+        self._shown_mm = (
+            (top + height / 2 - rows / 2) * pitch_mm,
+            (left + width / 2 - cols / 2) * pitch_mm,
+        )
         self._codes = np.zeros((rows, cols), dtype=np.int16)
         self._codes[top : top + height, left : left + width] = picture
 
@@ -185,7 +191,14 @@ class Bench:
     @property
     def view(self) -> View:
         """The camera's view from the present station."""
-        return View(self.settings, self._modes, self._aim, self.range_mm, self._wander_px)
+        return View(
+            self.settings,
+            self._modes,
+            self._aim,
+            self.range_mm,
+            self._wander_px,
+            self._shown_mm,
+        )
 
     def _draw(self) -> None:
         """Draw the constant properties of the bench."""

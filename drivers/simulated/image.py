@@ -126,7 +126,10 @@ def _tile_of_pixel(view: View) -> NDArray[np.int16]:
     for top in range(0, sensor.rows, MOST_AT_ONCE):
         rows = slice(top, min(top + MOST_AT_ONCE, sensor.rows))
         y = np.arange(float(rows.start), float(rows.stop))[:, None]
-        label[rows] = view.settings.grid.nearest(*view.on_panel(x, y))
+        right, down = view.on_panel(x, y)
+        label[rows] = view.settings.grid.nearest(
+            right - view.shown_mm[1], down - view.shown_mm[0]
+        )
     return label
 
 

@@ -43,7 +43,8 @@ class View:
     """The view from a true range. Places are (row, column), pixels; panel mm run right and down from its centre.
 
     modes: of the lens, without those that change over the frame; wander_px: movement of the
-    image, down and right.
+    image, down and right; shown_mm: place of the picture's centre, down and right of the
+    panel's: half a panel pixel where one of them is odd.
     """
 
     settings: BenchSettings
@@ -51,6 +52,7 @@ class View:
     aim: Aim
     range_mm: float
     wander_px: tuple[float, float]
+    shown_mm: Pair = (0.0, 0.0)
 
     @property
     def middle(self) -> Pair:
@@ -160,7 +162,8 @@ class View:
     def tile_place(self, tile: tuple[int, int], colour: str | None = None) -> Pair:
         """Return where the centre of a tile is seen, in one colour or without lateral colour."""
         lateral = 1.0 if colour is None else self.lateral(colour)
-        return self.place(*self.settings.grid.centre_mm(tile), lateral)
+        right, down = self.settings.grid.centre_mm(tile)
+        return self.place(right + self.shown_mm[1], down + self.shown_mm[0], lateral)
 
     def tiles(self) -> tuple[TrueTile, ...]:
         """Return the truth of each tile in each colour: its place and the modes there."""

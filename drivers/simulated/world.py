@@ -369,6 +369,14 @@ class Truth:
     reference_wavelength_nm: float = REFERENCE_NM
     field_terms: Mapping[str, Any] = field(default_factory=dict)
 
+    def waves(self, range_mm: float, channel: str) -> dict[int, float]:
+        """Return all modes of a visit in one colour, of the target's middle tile where the PSF changes over the frame."""
+        (visit,) = (one for one in self.visits if one.range_mm == range_mm)
+        tiles = [tile for tile in visit.tiles if tile.channel == channel]
+        if tiles:
+            return dict(tiles[len(tiles) // 2].modes_waves)
+        return {4: visit.defocus_waves[channel], **self.modes_waves[channel]}
+
     def to_json(self) -> str:
         """Return the truth as JSON."""
         return json.dumps(asdict(self), indent=1)
