@@ -37,7 +37,8 @@ def _error(w: Wavefront, lens: TrueLens, waves: Mapping[int, float]) -> tuple[fl
     ours = psf(w.fitted, spacing_um, 2 * REACH + 1)
     true = true_psf(lens, w.channel, waves, spacing_um)
     stated = float(np.sqrt(2 / np.pi) * ours.std.sum())
-    return _apart(ours.value, true / true.sum()), stated
+    moved = moved_to_fit(true / true.sum(), ours.value)
+    return float(np.abs(ours.value - moved).sum()), stated
 
 
 def true_psf(
@@ -59,13 +60,15 @@ def true_psf(
     return total
 
 
-def _apart(ours: Floats, true: Floats) -> float:
-    """The summed absolute difference where the true PSF is moved to fit best: where a picture lies is its pose."""
+def moved_to_fit(true: Floats, ours: Floats) -> Floats:
+    """The true PSF moved to where it fits ours best, by the summed absolute difference: where a picture lies is its pose."""
     transform = np.fft.fftn(true)
 
+    def moved(shift: Floats) -> Floats:
+        return np.asarray(np.fft.ifftn(fourier_shift(transform, shift)).real)
+
     def at(shift: Floats) -> float:
-        moved = np.fft.ifftn(fourier_shift(transform, shift)).real
-        return float(np.abs(ours - moved).sum())
+        return float(np.abs(ours - moved(shift)).sum())
 
     corners = np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]])
     best = minimize(
@@ -74,4 +77,4 @@ def _apart(ours: Floats, true: Floats) -> float:
         method="Nelder-Mead",
         options={"initial_simplex": corners, "xatol": 1e-3, "fatol": 1e-6},
     )
-    return float(best.fun)
+    return moved(best.x)
