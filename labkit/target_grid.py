@@ -82,6 +82,12 @@ class TargetGrid:
         """Side of a mark."""
         return MARK_SHARE * (self.pitch_mm - max(self.tile.size_mm))
 
+    @property
+    def clear_mm(self) -> float:
+        """Width of the surround around a target that is nearer to the target than to marks and neighbours."""
+        gap_mm = self.pitch_mm - max(self.tile.size_mm)
+        return (1 - MARK_SHARE) / 4 * gap_mm if self.marks else gap_mm / 2
+
     def centre_mm(self, place: Place) -> tuple[float, float]:
         """Return (y, x) of a target's centre, from the centre of the grid."""
         return _centre(place, self.grid, self.pitch_mm)

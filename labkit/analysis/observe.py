@@ -24,7 +24,7 @@ from labkit.estimation.climb import NoisePrior
 from labkit.estimation.likelihood import FrameData, low_orders
 from labkit.estimation.observation import Observation
 from labkit.finder.carpet_squares import central_square
-from labkit.finder.cut import cut_around, sees_target_only
+from labkit.finder.cut import cut_around, sees_no_neighbour, sees_target_only
 from labkit.finder.find_target import find_target, grey_image
 from labkit.finder.lattice import find_tiles
 from labkit.finder.plausibility import Sight, refuse_contradictions
@@ -99,6 +99,8 @@ def observe(
     groups = by_range(sorted(frames, key=lambda frame: frame.file)).values()
     progress(0, len(groups), "calibrating by flats and darks")
     calibration = calibrate(photographs, plan)
+    grid = open_grid(plan.target)
+    clear_mm = None if grid is None else grid.clear_mm
     observations: list[Observation] = []
     findings = [*again, *calibration.findings]
     for done, group in enumerate(groups):
@@ -109,7 +111,9 @@ def observe(
         for name in channels:
             for tile in tiles:
                 try:
-                    of, assumed = _observation(calibration, target, shots, name, tile)
+                    of, assumed = _observation(
+                        calibration, target, shots, name, tile, clear_mm
+                    )
                 except DataError as error:
                     if tile is None:
                         raise
@@ -291,8 +295,12 @@ def _observation(
     shots: Sequence[_Shot],
     channel: str,
     tile: Tile | None,
+    clear_mm: float | None,
 ) -> tuple[Observation, tuple[Finding, ...]]:
-    """Return the observation of one range, channel and tile, and findings about assumptions."""
+    """Return the observation of one range, channel and tile, and findings about assumptions.
+
+    clear_mm: width of the surround around a target of a grid that its neighbours leave alone.
+    """
     first = shots[0].mosaic
     group = [shot.frame for shot in shots]
     corners = [shot.corners_px[tile] for shot in shots]
@@ -302,6 +310,15 @@ def _observation(
     data = [
         channel_data(calibration, shot.frame, shot.mosaic, channel, cut) for shot in shots
     ]
+    if clear_mm is not None:
+        data = [
+            replace(
+                part,
+                mask=part.mask
+                & sees_no_neighbour(pose, clear_mm, target.size_mm, part.mask.shape),
+            )
+            for part, pose in zip(data, poses, strict=True)
+        ]
     frames = tuple(
         _frame_data(
             calibration,

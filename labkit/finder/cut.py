@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from labkit.finder.registration import OWN_CORNERS, homography, mapped
 from labkit.imaging.warp import Pose
 from labkit.photographs.photograph import Cut
 from labkit.types import Bools, Floats
@@ -41,6 +42,15 @@ def outline(corners: Floats, shape: tuple[int, ...]) -> NDArray[np.uint8]:
     polygon = np.zeros(shape, np.uint8)
     cv2.fillConvexPoly(polygon, np.round(corners[:, ::-1]).astype(np.int32), 1)
     return polygon
+
+
+def sees_no_neighbour(
+    pose: Pose, clear_mm: float, size_mm: tuple[float, float], shape: tuple[int, ...]
+) -> Bools:
+    """Return the pixels that see a target of a grid, or the surround up to `clear_mm` around."""
+    own_mm = OWN_CORNERS * size_mm
+    by = homography(own_mm, pose.corners_px())
+    return outline(mapped(by, own_mm + 2 * OWN_CORNERS * clear_mm), shape) > 0
 
 
 def sees_target_only(pose: Pose, shape: tuple[int, ...]) -> Bools:

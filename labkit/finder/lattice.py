@@ -27,13 +27,14 @@ from labkit.finder.find_target import (
     swept,
 )
 from labkit.finder.registration import (
+    OWN_CORNERS,
     homography,
     mapped,
     parent_agreement,
     quick_agreement,
     register,
 )
-from labkit.finder.tile_places import OWN_CORNERS, Lattice, first_place
+from labkit.finder.tile_places import Lattice, first_place
 from labkit.plan import TargetSpec
 from labkit.target import Target, open_target
 from labkit.target_grid import Place, TargetGrid, open_grid

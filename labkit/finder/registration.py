@@ -26,6 +26,10 @@ TRIED_BLURS = (0.6, 1.2, 2.4, 4.8)
 MOST_LARGER = (
     4.0  # than the picture: a corner so far away is where nearly parallel lines meet
 )
+
+OWN_CORNERS = np.array([[-0.5, -0.5], [-0.5, 0.5], [0.5, 0.5], [0.5, -0.5]])
+"""A target's corners from its centre, in its own size."""
+
 LIGHT_BLUR = 0.8
 """Blur of the picture itself before it is compared: it takes noise and aliasing down."""
 

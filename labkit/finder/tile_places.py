@@ -12,15 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labkit.errors import TargetError
-from labkit.finder.registration import homography
+from labkit.finder.registration import OWN_CORNERS, homography
 from labkit.target_grid import Place, TargetGrid
 from labkit.target_marks import MARK_MODULES
 from labkit.types import Floats
 
 Singles = NDArray[np.float32]
-
-OWN_CORNERS = np.array([[-0.5, -0.5], [-0.5, 0.5], [0.5, 0.5], [0.5, -0.5]])
-"""A target's corners from its centre, in its own size."""
 
 MODULE_PX = 8
 """Side of a mark's module in the straightened picture from which it is read; the middle half of a module counts."""

@@ -10,6 +10,8 @@ import pytest
 from PIL import Image
 
 from labkit.errors import PlanError, TargetError
+from labkit.finder.cut import sees_no_neighbour
+from labkit.imaging.warp import Pose
 from labkit.panel.panel_info import PanelInfo
 from labkit.panel.picture import panel_picture
 from labkit.plan import Plan, TargetSpec
@@ -215,3 +217,19 @@ def test_marks_are_printed_too(tmp_path: Path) -> None:
         between = np.asarray(picture)[90:210, 90:210]
     assert np.argwhere(between).min(axis=0).tolist() == [30, 30]
     assert np.argwhere(between).max(axis=0).tolist() == [89, 89]
+
+
+@pytest.mark.parametrize("marks", [False, True])
+def test_a_fit_leaves_out_the_light_of_marks_and_neighbours(marks: bool) -> None:
+    grid = TargetGrid(CellTarget(np.ones((1, 1)), (64.0, 64.0)), (3, 3), 97.0, marks)
+    y, x = (np.arange(-78.0, 79.0),) * 2
+    light = grid.radiance(y[:, None], x)
+    corners = 78 + np.array([[-32.0, -32.0], [-32.0, 32.0], [32.0, 32.0], [32.0, -32.0]])
+    pose = Pose.from_corners(corners, (64.0, 64.0))
+    used = sees_no_neighbour(pose, grid.clear_mm, (64.0, 64.0), light.shape)
+    own = np.maximum(np.abs(y)[:, None], np.abs(x)) <= 32
+    assert used[own].all()
+    assert not light[used & ~own].any()
+    # a pixel on either side of 33 mm between targets, or of half of the 8.25 mm before a mark
+    wide = 4.125 if marks else 16.5
+    assert used.sum() == pytest.approx((64 + 2 * wide) ** 2, rel=2 / 64)
