@@ -38,7 +38,7 @@ def show(
         ),
     ] = None,
 ) -> None:
-    """Show the lens over the frame. Tilt, curvature, coma, sagittal and tangential MTF, the plan's limits, tiles."""
+    """Show the lens over the frame. Tilt, curvature, coma, MTF, distortion, lateral colour, screws, tiles, limits."""
     a_session(session)
     from labkit.field import tables
     from labkit.field.summary import summarise
@@ -56,6 +56,10 @@ def show(
         tables.best_rows(summary),
     ):
         console.table(rows)
+    if summary.geometry is not None:
+        console.table(tables.place_rows(summary.geometry))
+    if summary.screws:
+        console.table(tables.screw_rows(summary.screws))
     if summary.tiles:
         console.table(tables.tile_rows(summary))
     if summary.limits:

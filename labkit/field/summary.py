@@ -15,13 +15,16 @@ import numpy as np
 from labkit.errors import DataError
 from labkit.field.curves import Band, Profile, profiles, usable_frequencies
 from labkit.field.focus_curves import FocusCurve, through_focus
+from labkit.field.geometry import FieldGeometry
 from labkit.field.limits import Judged, judge_limits
+from labkit.field.mount import ScrewMove, level
 from labkit.field.places import azimuth_of, detail_deg, field_points
 from labkit.field.session_geometry import corner_numbers, session_geometry
 from labkit.field.surfaces import Surface, focus_um
 from labkit.field.symmetry import Share
 from labkit.field.terms import LensTerms, lens_terms
 from labkit.field.tiles import Tile, tiles_of
+from labkit.field.turned import planned_screws
 from labkit.optics.field import FieldModel
 from labkit.optics.mtf import Curve, mtf, mtf50
 from labkit.plan import leading_channel
@@ -66,6 +69,8 @@ class FieldSummary:
     terms : of each channel
     points : of centre, edges and corners, sagittal and tangential
     limits : of the plan
+    geometry : distortion and lateral colour; None for tiles that are no grid of equal targets
+    screws : what to do at each screw of the plan's mount
     tiles : of the target
     notes : frequencies that are left out
     """
@@ -76,6 +81,8 @@ class FieldSummary:
     frequency_per_mm: Floats
     points: tuple[FieldPoint, ...]
     limits: tuple[Judged, ...]
+    geometry: FieldGeometry | None
+    screws: tuple[ScrewMove, ...]
     tiles: tuple[Tile, ...]
     notes: tuple[str, ...]
 
@@ -99,6 +106,8 @@ class FieldSummary:
             "profiles": [_profile_as_json(one) for one in self.profiles],
             "through_focus": [_focus_as_json(one) for one in self.through_focus],
             "limits": [one.as_json() for one in self.limits],
+            "geometry": None if self.geometry is None else self.geometry.as_json(),
+            "screws": [one.as_json() for one in self.screws],
             "tiles": [one.as_json() for one in self.tiles],
             "notes": list(self.notes),
         }
@@ -122,25 +131,23 @@ def summarise(results: Results, channel: str | None = None) -> FieldSummary:
         raise DataError(f"the field has no channel {channel}: it has {known}")
     leading = leading_channel(model.channels) if channel is None else channel
     frequency, notes = usable_frequencies(model, leading)
+    plan = results.plan
+    terms = {name: lens_terms(model, name) for name in model.channels}
+    geometry = session_geometry(results)
+    others = {} if geometry is None else corner_numbers(geometry)
+    slope = terms[leading].tilt.slope
     return FieldSummary(
         model,
         leading,
-        {name: lens_terms(model, name) for name in model.channels},
+        terms,
         frequency,
         points_of(model, leading, frequency),
-        _judged(results, model, leading),
+        judge_limits(plan.limits, model, leading, others),
+        geometry,
+        () if plan.mount.screws_mm is None else level(slope, planned_screws(plan)),
         tiles_of(results, model),
         notes,
     )
-
-
-def _judged(results: Results, model: FieldModel, channel: str) -> tuple[Judged, ...]:
-    """Return the verdicts of the plan's limits, with those on distortion and lateral colour."""
-    if not results.plan.limits.stated:
-        return ()
-    geometry = session_geometry(results)
-    others = {} if geometry is None else corner_numbers(geometry)
-    return judge_limits(results.plan.limits, model, channel, others)
 
 
 def points_of(

@@ -9,8 +9,11 @@ from io import StringIO
 import numpy as np
 
 from labkit.field.curves import Band
+from labkit.field.geometry import FieldGeometry
 from labkit.field.limits import Judged
+from labkit.field.mount import ScrewMove
 from labkit.field.pair import Pair
+from labkit.field.session_geometry import corner_numbers
 from labkit.field.summary import FieldSummary
 from labkit.field.symmetry import Share
 from labkit.field.terms import LensTerms
@@ -157,6 +160,35 @@ def best_rows(summary: FieldSummary) -> Rows:
     for curve in summary.through_focus:
         best.setdefault((curve.place, curve.surface), []).append(text(curve.best_um))
     return rows + [[*labels, *cells] for labels, cells in best.items()]
+
+
+def place_rows(geometry: FieldGeometry) -> Rows:
+    """Return distortion and lateral colour, and what they are in the frame's corners."""
+    rows = [["where the lens puts the target", "unit", "value"]]
+    rows.append(["distortion, k1", "1/mm²", text(geometry.k1_per_mm2)])
+    if geometry.k2_per_mm4 is not None:
+        rows.append(["distortion, k2", "1/mm⁴", text(geometry.k2_per_mm4)])
+    corners = corner_numbers(geometry)
+    for corner, number in corners["distortion_percent"].items():
+        rows.append([f"distortion, {corner}", "%", text(number)])
+    for channel, colour in geometry.lateral_colour.items():
+        name = (
+            f"lateral colour of {channel} against {geometry.model.channels[0]}, larger by"
+        )
+        rows.append([name, "", text(colour.scale)])
+    for corner, number in corners["lateral_colour_um"].items():
+        rows.append([f"lateral colour, {corner}", "µm", text(number)])
+    return rows
+
+
+def screw_rows(screws: Sequence[ScrewMove]) -> Rows:
+    """Return what to do at each screw, by the sensor's tilt alone."""
+    rows = [["screw", "height/µm", "shim/µm", "what to do"]]
+    for move in screws:
+        rows.append(
+            [str(move.number), text(move.height_um), text(move.shim_um), move.words]
+        )
+    return rows
 
 
 def limit_rows(limits: Sequence[Judged]) -> Rows:

@@ -10,6 +10,7 @@ import pytest
 
 from labkit.cli import field as command
 from labkit.cli.command_line import run
+from labkit.field.session_geometry import session_geometry
 from labkit.field.summary import summarise
 from labkit.field.tables import headline
 from labkit.findings import Finding
@@ -18,6 +19,7 @@ from labkit.optics.field import FieldModel
 from labkit.results import Placement, Results
 from tests.field_samples import FRAME, a_field
 from tests.results_samples import a_wavefront, some_results
+from tests.tiled_samples import TILED, tiled_results
 
 CORNERS = np.array([[100.0, 100], [100, 160], [160, 160], [160, 100]])
 
@@ -114,6 +116,35 @@ def test_curves_are_written_one_value_a_line(tmp_path: Path) -> None:
     assert heights[0] == -heights[-1] == pytest.approx(-768 / 2 * 5.2e-3, rel=1e-5)
     assert {row["curve"] for row in rows} == {"mtf", "mtf50", "focus_um", "through_focus"}
     assert all(float(row["std"]) >= 0 for row in rows)
+
+
+def test_distortion_lateral_colour_and_screws_are_shown(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    places = [[0, 30], [26, -15], [-26, -15]]
+    plan = TILED.replace(
+        mount={"screws_mm": places, "screw_pitch_mm": 0.5},
+        limits={"distortion_percent": 50, "lateral_colour_um": 1000},
+    )
+    results = tiled_results(plan=plan)
+    monkeypatch.setattr(command, "a_session", lambda path: None)
+    monkeypatch.setattr(Results, "load", lambda session, name: results)
+    assert run(["field", "night-3"]) == 0
+    out = capsys.readouterr().out
+    geometry = session_geometry(results)
+    assert geometry is not None
+    words = [line.split() for line in out.splitlines()]
+    k1 = str(geometry.k1_per_mm2).removesuffix(" /mm²")
+    assert ["distortion,", "k1", "1/mm²", *k1.split()] in words
+    assert "lateral colour, top left, B" in out
+    assert "which way that is, a known move has to prove" in out
+    last = out.splitlines()[-2:]
+    assert [line.split()[-1] for line in last] == ["pass", "pass"]
+    answer = summarise(results).as_json()
+    assert answer["geometry"]["distortion"]["k1_per_mm2"] == geometry.k1_per_mm2.as_json()
+    heights = [screw["height_um"]["value"] for screw in answer["screws"]]
+    # screws about the frame's centre: a plane through 0
+    assert sum(heights) == pytest.approx(0, abs=1e-9)
 
 
 def test_a_session_without_a_field_says_what_to_do(
