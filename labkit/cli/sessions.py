@@ -371,7 +371,8 @@ def report(
         tuple[int, int] | None,
         typer.Option(
             metavar="ROW COLUMN",
-            help="Tile whose wavefronts are shown one by one; otherwise the tile nearest to the centre of the frame.",
+            help="Tile whose wavefronts are shown one by one.",
+            show_default="the tile nearest to the centre of the frame",
         ),
     ] = None,
 ) -> None:
