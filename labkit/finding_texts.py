@@ -184,5 +184,9 @@ TEXTS = {
     "chart-focus-sign-open": (
         "the sign of the focus errors is open: give photographs at two ranges or more, and --range MM for each"
     ),
+    "chart-ranges-contradicted": (
+        "channel {channel}: defoci depart from those of the stated ranges by {factor:.1f} times their errors, which were "
+        "enlarged: check the ranges, and focal length and f-number in the plan"
+    ),
 }
 """The sentence of each code. `where` is the key's label; other names are numbers, or words made of them."""

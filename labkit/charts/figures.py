@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,13 +10,13 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from labkit.figure_style import INK, SOFT_INK, WIDTH_IN
+from labkit.figure_style import INK, SOFT_INK, WIDTH_IN, banded
 from labkit.plan import leading_channel
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
 if TYPE_CHECKING:
-    from labkit.charts.focal_surface import PlaceFocus
+    from labkit.charts.focal_surface import FocalSurface, PlaceFocus
     from labkit.charts.outcome import ChartEdge, ChartOutcome
 
 LINES = {
@@ -38,6 +38,7 @@ KIND_NAMES = {
 }
 FOCUS_MARKS = {"medial": ("#1c1e21", "D"), "S": ("#0072b2", "s"), "T": ("#d55e00", "o")}
 PANEL_IN = 2.1
+LINE_POINTS = 60
 MAP_RAMP = "viridis"
 EDGE_PT, EDGE_RIM_PT = 3.0, 4.6
 
@@ -45,13 +46,17 @@ EDGE_PT, EDGE_RIM_PT = 3.0, 4.6
 def draw_figures(outcome: ChartOutcome, grey: Floats) -> dict[str, Figure]:
     """Return the figures by name.
 
-    grey : (rows, columns) of the photograph, about 0 to 1
+    grey : (rows, columns) of the sharpest photograph, about 0 to 1
     """
     name = leading_channel(outcome.channels)
-    edges = [edge for edge in outcome.edges if edge.channel == name]
+    edges = [
+        edge
+        for edge in outcome.edges
+        if edge.channel == name and edge.of.photograph == outcome.sharpest
+    ]
     figures = {"profiles": _profiles(edges), "map": _map(edges, grey)}
-    if outcome.surfaces.get(name):
-        figures["focus"] = _focus(outcome.foci[name])
+    if surfaces := outcome.surfaces.get(name):
+        figures["focus"] = _focus(outcome.foci[name], surfaces)
     return figures
 
 
@@ -116,8 +121,8 @@ def _marks(
     )
 
 
-def _focus(foci: Sequence[PlaceFocus]) -> Figure:
-    """Draw S, T and medial focus against signed image height on the lines through the centre."""
+def _focus(foci: Sequence[PlaceFocus], surfaces: Mapping[str, FocalSurface]) -> Figure:
+    """Draw S, T and medial focus, and their surfaces, against signed image height on the lines through the centre."""
     figure = Figure(figsize=(WIDTH_IN, 2 * PANEL_IN + 1.0), layout="constrained")
     axes = figure.subplots(2, 2, sharex=True, sharey=True)
     for (azimuth, words), panel in zip(LINES.items(), axes.ravel(), strict=True):
@@ -128,9 +133,12 @@ def _focus(foci: Sequence[PlaceFocus]) -> Figure:
             for k, of in enumerate(foci)
             if _is_near(of.height_mm, azimuth)
         )
+        height, places = _path([(mm, foci[k].height_mm) for mm, k in on_line])
         for kind, (colour, marker) in FOCUS_MARKS.items():
             known = [(mm, foci[k].of(kind)) for mm, k in on_line]
             known = [(mm, of) for mm, of in known if np.isfinite(of.value)]
+            if kind in surfaces:
+                banded(panel, height, *surfaces[kind].at(places), colour)
             _marks(
                 panel,
                 [mm for mm, _ in known],
@@ -149,6 +157,15 @@ def _focus(foci: Sequence[PlaceFocus]) -> Figure:
     ]
     figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
     return figure
+
+
+def _path(known: Sequence[tuple[float, Floats]]) -> tuple[Floats, Floats]:
+    """Return signed heights (n,) and places (n, 2) on the way from place to place through the centre."""
+    through = sorted([*known, (0.0, np.zeros(2))], key=lambda of: of[0])
+    at = np.array([mm for mm, _ in through])
+    height = np.linspace(at[0], at[-1], LINE_POINTS)
+    ways = np.transpose([place for _, place in through])
+    return height, np.column_stack([np.interp(height, at, way) for way in ways])
 
 
 def _is_on(edge: ChartEdge, azimuth: int) -> bool:
@@ -178,7 +195,11 @@ def _map(edges: list[ChartEdge], grey: Floats) -> Figure:
     axes = figure.subplots()
     axes.imshow(np.sqrt(grey.clip(0, 1)), cmap="gray", vmin=-0.5, vmax=1.3)
     axes.grid(False)
-    axes.set(xlabel="column, px", ylabel="row, px", title="MTF50 across each edge")
+    axes.set(
+        xlabel="column, px",
+        ylabel="row, px",
+        title=f"MTF50 across each edge, {edges[0].channel}",
+    )
     lines = [_line_px(edge) for edge in edges]
     rim = LineCollection(lines, colors="white", linewidths=EDGE_RIM_PT, capstyle="round")
     drawn = LineCollection(lines, cmap=MAP_RAMP, linewidths=EDGE_PT, capstyle="round")

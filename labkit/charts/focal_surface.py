@@ -7,11 +7,13 @@ is offset + tilt · (y, x) + curvature · (y² + x²), of the medial focus and o
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
+from scipy.stats import chi2
 
+from labkit.charts.chart_edges import Cell
 from labkit.charts.place_fit import ASTIGMATIC, PlaceFit
 from labkit.edges.ranges import symmetric_error
 from labkit.optics.lens import blur_per_wave_um
@@ -34,6 +36,7 @@ class PlaceFocus:
 
     Attributes
     ----------
+    cell : the place in the grid
     height_mm : (y, x) from the frame's centre
     um : medial, S and T, focus errors of the sensor; S and T nan where edges do not determine them
     covariance : (3, 3)
@@ -41,6 +44,7 @@ class PlaceFocus:
     chi2, freedom : of the photographs' defoci against the lens's law
     """
 
+    cell: Cell
     height_mm: Floats
     um: Floats
     covariance: Floats
@@ -55,12 +59,31 @@ class PlaceFocus:
             self.um[k], np.sqrt(self.covariance[k, k]), "um", sign_open=self.sign_open
         )
 
+    @property
+    def t_minus_s(self) -> Uncertain:
+        """Astigmatism along the radius, µm."""
+        row = np.array([0, -1, 1])
+        std = np.sqrt(row @ self.covariance @ row)
+        return Uncertain(self.um[2] - self.um[1], std, "um", sign_open=self.sign_open)
+
+    @property
+    def row(self) -> list[str]:
+        """Cells of the table."""
+        numbers = [*(self.of(kind) for kind in FOCUS_KINDS), self.t_minus_s]
+        return [
+            ",".join(map(str, self.cell)),
+            *(f"{mm:.2f}" for mm in self.height_mm),
+            *(str(of) if np.isfinite(of.value) else "-" for of in numbers),
+        ]
+
     def as_json(self) -> dict[str, Any]:
         """Return an entry of "focus"."""
         return {
+            "cell": list(self.cell),
             "y_mm": self.height_mm[0],
             "x_mm": self.height_mm[1],
             **{f"{kind}_um": self.of(kind) for kind in FOCUS_KINDS},
+            "T_minus_S_um": self.t_minus_s,
             "sign_open": self.sign_open,
             "chi2": self.chi2,
             "freedom": self.freedom,
@@ -97,6 +120,13 @@ class FocalSurface:
         """Return a number with its error."""
         k = NUMBERS.index(name)
         return Uncertain(self.numbers[k], np.sqrt(self.covariance[k, k]))
+
+    def at(self, places_mm: Floats) -> tuple[Floats, Floats]:
+        """Return focus errors (n,), µm, and their errors, at places (n, 2) as (y, x)."""
+        rows = _rows(places_mm)
+        return rows @ self.numbers, np.sqrt(
+            np.einsum("ki,ij,kj->k", rows, self.covariance, rows)
+        )
 
     @property
     def cells(self) -> list[str]:
@@ -150,9 +180,24 @@ def place_focus(fit: PlaceFit, height_mm: Floats) -> PlaceFocus:
     value = rows_um @ numbers
     value[1:] = np.nan if unknown else value[1:]
     freedom = max(depths - 1, 0) if known else 0
-    return PlaceFocus(
-        height_mm, value, error, not known, float(left @ weight @ left), freedom
-    )
+    misfit = float(left @ weight @ left)
+    return PlaceFocus(fit.cell, height_mm, value, error, not known, misfit, freedom)
+
+
+def law_misfit(foci: Sequence[PlaceFocus]) -> tuple[float, float]:
+    """Return the root of chi-squared per degree of freedom of all defoci about the lens's law, and its probability."""
+    freedom = sum(of.freedom for of in foci)
+    if not freedom:
+        return 1.0, 1.0
+    total = sum(of.chi2 for of in foci)
+    return float(np.sqrt(total / freedom)), float(chi2.sf(total, freedom))
+
+
+def enlarged(foci: Sequence[PlaceFocus]) -> tuple[PlaceFocus, ...]:
+    """Return foci with errors enlarged by the scatter of defoci about the lens's law."""
+    factor, _ = law_misfit(foci)
+    share = max(factor, 1.0) ** 2
+    return tuple(replace(of, covariance=share * of.covariance) for of in foci)
 
 
 def _foci(fit: PlaceFit, height_mm: Floats, modes: int) -> Floats:
@@ -179,17 +224,23 @@ def focal_surface(
     if len(used) <= len(NUMBERS):
         return None
     place = np.array([of.height_mm for of in used])
-    square = (place**2).sum(axis=1)
-    rows = np.column_stack([np.ones(len(used)), place, square * 1e3])
+    rows = _rows(place)
     value = np.array([of.um[k] for of in used])
     std = np.array([of.of(kind).std for of in used])
-    if np.linalg.cond(rows / np.abs(rows).max(axis=0)) > MOST_CONDITION:
+    most = np.hypot(*place.T).max()
+    if np.linalg.cond(rows / [1, most, most, 1e3 * most**2]) > MOST_CONDITION:
         return None
     weighed = rows / std[:, None]
     covariance = np.linalg.inv(weighed.T @ weighed)
     numbers = covariance @ weighed.T @ (value / std)
-    chi2 = float(np.mean(((value - rows @ numbers) / std) ** 2))
-    chi2 *= len(used) / (len(used) - len(NUMBERS))
+    scatter = float(np.mean(((value - rows @ numbers) / std) ** 2))
+    scatter *= len(used) / (len(used) - len(NUMBERS))
     scale = (f_number.std / f_number.value) ** 2
-    covariance = covariance * max(chi2, 1.0) + scale * np.outer(numbers, numbers)
-    return FocalSurface(numbers, covariance, len(used), chi2)
+    covariance = covariance * max(scatter, 1.0) + scale * np.outer(numbers, numbers)
+    return FocalSurface(numbers, covariance, len(used), scatter)
+
+
+def _rows(places_mm: Floats) -> Floats:
+    """Return the surface at places (n, 2) as combinations (n, 4) of its numbers."""
+    square = 1e3 * (places_mm**2).sum(axis=1)
+    return np.column_stack([np.ones(len(places_mm)), places_mm, square])

@@ -14,7 +14,9 @@ from labkit.charts.focal_surface import (
     FOCUS_KINDS,
     FocalSurface,
     PlaceFocus,
+    enlarged,
     focal_surface,
+    law_misfit,
     place_focus,
 )
 from labkit.charts.outcome import ChartEdge, ChartOutcome, ChartPlace
@@ -33,6 +35,7 @@ from labkit.types import Floats, Progress, no_progress
 
 PLACES_ACROSS = 7
 EDGES_EACH = 2  # of either direction, at a place
+CONTRADICTED = 1e-3  # probability of the defoci if the law and the ranges were right
 FITTING = "fitting places"
 
 
@@ -245,8 +248,8 @@ def _outcome(
         tuple(edge for place in places for edge in place.edges),
         tuple(places),
         left_out,
-        {name: tuple(every) for name, every in foci.items()},
-        {name: _surfaces(every, plan) for name, every in foci.items()},
+        {name: enlarged(every) for name, every in foci.items()},
+        {name: _surfaces(enlarged(every), plan) for name, every in foci.items()},
     )
     return replace(
         outcome, findings=tuple(each_once([*notes, *_findings(outcome, charts, rejected)]))
@@ -286,6 +289,14 @@ def _findings(
         findings.append(
             found("chart-directions-missing", count=unknown, places=len(outcome.places))
         )
+    for name, every in outcome.foci.items():
+        factor, p = law_misfit(every)
+        if p < CONTRADICTED:
+            findings.append(found("chart-ranges-contradicted", channel=name, factor=factor))
+    for name, every in outcome.foci.items():
+        factor, p = law_misfit(every)
+        if p < CONTRADICTED:
+            findings.append(found("chart-ranges-contradicted", channel=name, factor=factor))
     if any(of.sign_open for every in outcome.foci.values() for of in every):
         findings.append(found("chart-focus-sign-open"))
     return findings

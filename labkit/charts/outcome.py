@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from labkit.charts.chart_edges import is_aligned
-from labkit.charts.focal_surface import FocalSurface, PlaceFocus
+from labkit.charts.focal_surface import FOCUS_KINDS, FocalSurface, PlaceFocus
 from labkit.charts.place_fit import EdgeResponse, PlaceFit
 from labkit.edges.response import Response, response_along
 from labkit.files import write_atomically, writing
@@ -213,7 +213,21 @@ class ChartOutcome:
         heading = PLACE_HEADING + [f"{kind} {name}" for kind in "ST" for name in names]
         return [heading, *(place.row for place in self.places)]
 
+    @property
+    def sharpest(self) -> int:
+        """Number of the photograph with the largest median MTF50, which figures show."""
+        every: dict[int, list[float]] = {}
+        for edge in self.edges:
+            every.setdefault(edge.of.photograph, []).append(edge.of.fitted.mtf50.value)
+        return max(every, key=lambda k: float(np.nanmedian(every[k])))
+
     def focus_rows(self) -> list[list[str]]:
+        """Return a heading and a row for the focus errors of each place."""
+        rows = [[name, *of.row] for name, every in self.foci.items() for of in every]
+        kinds = [f"{kind} focus" for kind in FOCUS_KINDS]
+        return [["channel", "place", "y, mm", "x, mm", *kinds, "T − S"], *rows]
+
+    def surface_rows(self) -> list[list[str]]:
         """Return a heading and a row for each focal surface; nothing without surfaces."""
         rows = [
             [f"{channel} {kind}", *of.cells]
@@ -225,7 +239,7 @@ class ChartOutcome:
     def write(self, folder: Path, grey: Floats) -> list[Path]:
         """Write chart.json and the figures, and return their paths.
 
-        grey : (rows, columns) of the photograph, about 0 to 1. Raises InputError if they cannot be written.
+        grey : (rows, columns) of the sharpest photograph, about 0 to 1. Raises InputError if they cannot be written.
         """
         from labkit.charts.figures import draw_figures
         from labkit.figure_style import png, styled

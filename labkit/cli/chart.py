@@ -89,7 +89,7 @@ def chart(
             workers=workers,
             progress=report,
         )
-    _show(console, outcome, photographs[0], plan, out)
+    _show(console, outcome, photographs[outcome.sharpest], plan, out)
 
 
 def _show(
@@ -100,7 +100,8 @@ def _show(
 
     console.warn(*(finding.text for finding in outcome.findings))
     console.table(outcome.rows())
-    if surfaces := outcome.focus_rows():
+    console.table(outcome.focus_rows())
+    if surfaces := outcome.surface_rows():
         console.table(surfaces)
     if out is not None:
         for path in outcome.write(out, grey_picture(image, plan)):

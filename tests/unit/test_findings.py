@@ -191,6 +191,7 @@ SAMPLES = [
     found("chart-edges-along-pixels", count=12, edges=140),
     found("chart-directions-missing", count=8, places=35),
     found("chart-focus-sign-open"),
+    found("chart-ranges-contradicted", channel="G", factor=4.2),
 ]
 """One of each."""
 
