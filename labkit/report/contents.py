@@ -52,7 +52,7 @@ SECTIONS = {
     "provenance": "Provenance",
 }
 NO_FIELD_TABLES = dict.fromkeys(
-    ("field_table", "limit_table", "places_table", "screw_table")
+    ("field_table", "limit_table", "places_table", "light_over_table", "screw_table")
 )
 OPTIONAL_SECTIONS = {"field", "lens", "budget", "camera", "fits"}
 

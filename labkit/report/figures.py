@@ -225,6 +225,7 @@ DRAWN_SECTIONS: dict[str, tuple[str, Callable[[Artist], Iterable[Plate]]]] = {
         "aberrations over the frame",
         _of_field(lambda field, _: field.shapes()),
     ),
+    "field-light": ("illumination", _of_field(lambda field, _: field.light())),
     "field-places": ("distortion", _of_field(lambda field, _: field.places())),
     "field-tiles": (
         "tiles",

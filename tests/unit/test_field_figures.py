@@ -10,6 +10,8 @@ from labkit.field.surfaces import ASTIGMATISM, focus_um
 from labkit.field.terms import lens_terms
 from labkit.figure_style import channel_inks, styled
 from labkit.optics.mtf import mtf
+from labkit.photographs.photograph import Photograph
+from labkit.report.field.flats import illumination
 from labkit.report.field.maps import covering, even_levels, map_chart
 from labkit.report.field.profiles import height_chart, inner_points, lines_of
 from labkit.report.field.sampled import Grid, after_plane_um, mtf_over
@@ -22,6 +24,7 @@ from labkit.report.field.shapes import (
     round_length,
     stamps_of,
 )
+from labkit.types import Floats
 from labkit.uncertain import Uncertain
 from tests.tiled_samples import CURVATURE, FRAME, TILT, a_model
 
@@ -141,6 +144,31 @@ def test_the_arrow_of_tilt_points_where_the_sensor_recedes() -> None:
     (arrow,) = (text for text in figure.axes[0].texts if isinstance(text, Annotation))
     assert np.degrees(np.arctan2(*arrow.xy[::-1])) == pytest.approx(towards.value)
     assert not [text for text in without.axes[0].texts if isinstance(text, Annotation)]
+
+
+def test_illumination_is_of_flats_above_darks_without_saturated_pixels() -> None:
+    rows, columns = np.mgrid[:200, :300]
+    height2 = (rows - 99.5) ** 2 + (columns - 149.5) ** 2
+    light = 8000 * (1 - 0.3 * height2 / height2.max())
+    rng = np.random.default_rng(5)
+
+    def taken(mean: Floats) -> Photograph:
+        counts = rng.poisson(mean + 40.0) + 512
+        counts[50:60, 50:60] = 16383
+        return Photograph(
+            counts.astype(np.uint16), np.full((2, 2), 512.0), 16383.0, ("RG", "GB")
+        )
+
+    flats = [taken(light), taken(light)]
+    darks = [taken(np.zeros_like(light))]
+    found = illumination(flats, darks, ("R", "G", "B"), 5.0)
+    assert set(found) == {"R", "G", "B"}
+    for of in found.values():
+        percent, std = of.corners_percent
+        assert percent == pytest.approx(4 * [70.0], abs=1.0)
+        # darks add 40 counts of 8000 with their noise
+        assert np.all((std > 0.05) & (std < 0.5))
+    assert illumination([], [], ("R",), 5.0) == {}
 
 
 def test_lines_through_the_centre_end_at_edges_and_in_corners() -> None:

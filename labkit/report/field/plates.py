@@ -12,6 +12,7 @@ import numpy as np
 from labkit.field.curves import Profile, profiles, usable_frequencies
 from labkit.field.focus_curves import through_focus
 from labkit.field.geometry import FieldGeometry
+from labkit.field.illumination import RelativeIllumination
 from labkit.field.limits import judge_limits
 from labkit.field.session_geometry import corner_numbers, session_geometry
 from labkit.field.surfaces import ASTIGMATISM, focus_um
@@ -23,6 +24,7 @@ from labkit.plan import leading_channel
 from labkit.report.cards import Card
 from labkit.report.field.cards import field_cards
 from labkit.report.field.files import Rows, field_files
+from labkit.report.field.flats import session_illumination
 from labkit.report.field.geometry_charts import (
     distortion_chart,
     distortion_factor,
@@ -59,6 +61,7 @@ from labkit.report.field.shapes import (
 )
 from labkit.report.field.tables import (
     field_table,
+    light_table,
     limit_table,
     places_table,
     screw_table,
@@ -111,6 +114,7 @@ class FieldArtist:
         return {
             "field_table": field_table(self.terms),
             "limit_table": limit_table(limits) if limits else None,
+            "light_over_table": light_table(self.illumination),
             "places_table": None if geometry is None else places_table(geometry, others),
             "screw_table": None if screws is None else screw_table(lead, screws),
         }
@@ -338,6 +342,33 @@ class FieldArtist:
             of = {"channel": channel, "scale": geometry.lateral_colour[channel].scale}
             panels.append(drawing("field_lateral", figure, of, channel))
         yield Plate("field_places", panels)
+
+    @cached_property
+    def illumination(self) -> dict[str, RelativeIllumination]:
+        """Light over the frame of each channel, where the session has flats."""
+        return session_illumination(self.results, self.nearest.range_mm)
+
+    def light(self) -> Iterator[Plate]:
+        """Yield relative illumination."""
+        maps = {
+            channel: light.percent(self.grid.places_px)
+            for channel, light in self.illumination.items()
+        }
+        if not maps:
+            return
+        levels = covering([value for value, _ in maps.values()])
+        panels = []
+        for channel, (value, std) in maps.items():
+            title = f"{channel}  relative illumination"
+            figure = map_chart(self.grid, value, title, "%", levels, signed=False)
+            of = {
+                "channel": channel,
+                "low": float(value.min()),
+                "high": float(value.max()),
+                "std": float(std.max()),
+            }
+            panels.append(picture("field_light", figure, of, channel))
+        yield Plate("field_light", panels, across=3)
 
     def tiles(self, photographs: Photographs) -> Iterator[Plate]:
         """Yield where the tiles were, and how well the model describes them."""

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from labkit.field.geometry import FieldGeometry
+from labkit.field.illumination import RelativeIllumination
 from labkit.field.limits import Judged, Numbers
 from labkit.field.mount import Screws, level
 from labkit.field.terms import LensTerms
@@ -152,4 +153,20 @@ def screw_table(terms: LensTerms, screws: Screws) -> Table:
         shim = estimated(move.shim_um) if move.shim_um.std else "none"
         numbers = [estimated(move.height_um), shim, *turn]
         rows.append(Row((str(move.number), place, *numbers, move.words)))
+    return Table(columns, tuple(rows))
+
+
+CORNER_NAMES = ("top left", "top right", "bottom right", "bottom left")
+
+
+def light_table(lights: Mapping[str, RelativeIllumination]) -> Table | None:
+    """Return the light in the corners, % of the centre's; None without flats."""
+    if not lights:
+        return None
+    corners = [zip(*of.corners_percent, strict=True) for of in lights.values()]
+    cells = [[estimated(Uncertain(float(v), float(s))) for v, s in of] for of in corners]
+    columns = (Column("", text=True), *channel_columns(tuple(lights), "%"))
+    rows = [
+        Row((f"{name} corner", *by)) for name, *by in zip(CORNER_NAMES, *cells, strict=True)
+    ]
     return Table(columns, tuple(rows))

@@ -152,8 +152,9 @@ def place_pulls_chart(geometry: FieldGeometry, inks: Mapping[str, Ink]) -> Figur
     axes.set_title("places of the tiles")
     axes.axline((0, 0), slope=1, color=SOFT_INK, lw=0.8)
     channels = np.array([place.key.channel for place in geometry.model.places])
+    every = geometry.pulls
     for k, channel in enumerate(geometry.model.channels):
-        pulls = geometry.pulls[(channels == channel) & ~geometry.fit.apart]
+        pulls = every[(channels == channel) & ~geometry.fit.apart]
         normal, low, high, observed = normal_quantiles(pulls.ravel())
         if k == 0:
             axes.fill_between(normal, low, high, color=FAINT, lw=0)
@@ -170,10 +171,11 @@ def place_pulls_map(geometry: FieldGeometry, sight: TileSight) -> Figure:
     """Draw the RMS of each tile's pulls over all ranges and channels; flagged: tiles set apart in any."""
     tiles = list(sight.fits)
     every = np.array([place.tile for place in geometry.model.places])
+    pulls = geometry.pulls
     rms, flagged = [], []
     for tile in tiles:
         own = np.all(every == tile, axis=1)
-        rms.append(float(np.sqrt(np.mean(geometry.pulls[own] ** 2))))
+        rms.append(float(np.sqrt(np.mean(pulls[own] ** 2))))
         flagged.append(bool(np.any(geometry.fit.apart[own])))
     places_px = np.array([mean_place_px([sight.fits[tile]]) for tile in tiles])
     title, unit = "pulls of the places", "σ RMS"
