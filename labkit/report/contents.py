@@ -95,6 +95,7 @@ def contents(
         "missing": missing_words(results),
         "sources": SOURCES,
         "checks": _checks(whole),
+        "field_sign_open": any(w.sign_open for w in whole),
         **(field.tables() if field else NO_FIELD_TABLES),
         "lens_table": lens,
         "focus_table": focus_table(focused, results.reference_wavelength_nm),

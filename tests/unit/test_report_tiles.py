@@ -173,6 +173,20 @@ def test_a_page_of_tiles_has_the_field_and_one_tiles_wavefronts(page: Path) -> N
 
 
 @pytest.mark.slow
+def test_an_open_sign_is_said_before_any_number_of_the_field(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert "sign of focus, tilt, curvature and astigmatism is open" not in page.read_text()
+    monkeypatch.setattr("labkit.report.html.draw_figures", lambda *_: {})
+    one = tiled_results()
+    near = (w for w in one if w.range_mm == NEAR_MM)
+    open_signs = tuple(replace(w, sign_open=True) for w in near)
+    html = write_report(kept(replace(one, wavefronts=open_signs), tmp_path)).read_text()
+    assert "sign of focus, tilt, curvature and astigmatism is open" in html
+    assert html.index("astigmatism is open") < html.index("Sensor tilt, down")
+
+
+@pytest.mark.slow
 def test_the_page_holds_the_fields_numbers_and_every_tiles(page: Path) -> None:
     links = re.findall(r'download="([^"]+)" href="data:[^,]*,([^"]+)"', page.read_text())
     files = {name: b64decode(content).decode() for name, content in links}
