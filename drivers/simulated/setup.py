@@ -25,7 +25,9 @@ from labkit.drivers.simulated.world import (
 )
 from labkit.errors import PlanError
 from labkit.pace import in_words
+from labkit.panel.panel_info import PanelInfo
 from labkit.panel.panels import paper_panel, plan_panel
+from labkit.panel.picture import panel_picture
 from labkit.plan import Plan, RailSettings, TargetSpec
 from labkit.target_grid import whole_target
 
@@ -106,7 +108,7 @@ def settings_for(plan: Plan, seed: int) -> BenchSettings:
         sensor=sensor,
         panel=panel,
         rail=_rail(plan.rail),
-        grid=_grid(plan.target),
+        grid=_grid(plan.target, glass),
     )
     if max(rows, cols) > MOST_AT_ONCE:
         settings = replace(
@@ -135,11 +137,12 @@ def _bench(address: str, plan: Plan, warn: Callable[[str], None]) -> Bench:
     return Bench(settings, orders.faults)
 
 
-def _grid(target: TargetSpec) -> TrueGrid:
-    """Return the places of a plan's targets on the panel."""
-    if not target.of_many or target.grid is None or target.pitch_mm is None:
+def _grid(target: TargetSpec, glass: PanelInfo) -> TrueGrid:
+    """Return the places of a plan's targets on the panel, whose pixels round their distance."""
+    if not target.of_many or target.grid is None:
         return TrueGrid()
-    return TrueGrid(target.grid, target.pitch_mm)
+    shown = panel_picture(whole_target(target), glass)
+    return TrueGrid(target.grid, shown.pitch_mm or 1.0)
 
 
 def _sensor_size(plan: Plan, nearest_mm: float) -> tuple[int, int]:

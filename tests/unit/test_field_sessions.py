@@ -80,7 +80,7 @@ def test_a_grid_of_three_by_four_has_a_tile_for_each_carpet() -> None:
 
 
 def test_a_bench_for_a_plan_with_a_grid_knows_its_tiles() -> None:
-    target = {"grid": [2, 3], "pitch_mm": 12.0}
+    target = {"grid": [2, 3], "pitch_mm": 12.04}  # 120.4 pixels of the panel
     text = plan_text(SMALL, simulated([2000], 1950.0), {"target": target})
     settings = settings_for(Plan.parse(text, Path()), 1)
     assert (settings.grid.shape, settings.grid.pitch_mm) == ((2, 3), 12.0)
