@@ -66,15 +66,21 @@ class FieldEntry(Entry):
                 names, field.waves.ravel().tolist(), std.ravel().tolist(), strict=True
             )
         ]
-        tilt, covariance = field.sensor_tilt
+        # few tiles determine a mean and a tilt alone, or the mean
+        tilt = curvature = None
+        if {2, 3} <= set(field.field):
+            value, covariance = field.sensor_tilt
+            tilt = PairEntry.of(None, value=value, covariance=covariance)
+        if 4 in field.field:
+            curvature = NumberEntry(**field.curvature.as_json())
         return cls(
             photograph_px=field.frame.shape_px,
             f_number=field.f_number,
             f_number_std=field.f_number_std,
             wavelengths_nm=dict(zip(field.channels, field.wavelengths_nm, strict=True)),
             terms=tuple(terms),
-            sensor_tilt_um_per_mm=PairEntry.of(None, value=tilt, covariance=covariance),
-            curvature_per_mm=NumberEntry(**field.curvature.as_json()),
+            sensor_tilt_um_per_mm=tilt,
+            curvature_per_mm=curvature,
         )
 
     def model(self, covariance: Floats, pitch_um: float, reference_nm: float) -> FieldModel:

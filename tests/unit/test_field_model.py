@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from labkit.optics.field import FieldFrame, FieldModel, field_terms
+from labkit.results.field_entry import FieldEntry
 from labkit.types import Floats
 
 GOLDEN = Path(__file__).parents[3] / "shared" / "golden" / "truth-field-open.json"
@@ -70,3 +71,24 @@ def test_the_independent_simulators_lens_is_an_expansion_of_order_two() -> None:
         modes = np.array([tile["modes"][j] for tile in tiles])
         terms = np.linalg.lstsq(at, modes, rcond=None)[0]
         assert at @ terms == pytest.approx(modes, abs=1e-12)
+
+
+@pytest.mark.parametrize(("order", "tilted", "curved"), [(0, 0, 0), (1, 1, 0), (2, 1, 1)])
+def test_a_field_of_few_tiles_has_null_where_they_determine_nothing(
+    order: int, tilted: bool, curved: bool
+) -> None:
+    terms = field_terms(order)
+    model = FieldModel(
+        FieldFrame((232, 232), 4.78),
+        ("G",),
+        terms,
+        (4, 5),
+        np.zeros((1, len(terms), 2)),
+        np.eye(2 * len(terms)),
+        (550.0,),
+        450.0,
+        2.8,
+    )
+    entry = FieldEntry.of_model(model)
+    assert (entry.sensor_tilt_um_per_mm is not None) == tilted
+    assert (entry.curvature_per_mm is not None) == curved
