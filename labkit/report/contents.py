@@ -52,7 +52,14 @@ SECTIONS = {
     "provenance": "Provenance",
 }
 NO_FIELD_TABLES = dict.fromkeys(
-    ("field_table", "limit_table", "places_table", "light_over_table", "screw_table")
+    (
+        "field_table",
+        "limit_table",
+        "places_table",
+        "light_over_table",
+        "tilt_table",
+        "screw_table",
+    )
 )
 OPTIONAL_SECTIONS = {"field", "lens", "budget", "camera", "fits"}
 
@@ -95,6 +102,7 @@ def contents(
         "missing": missing_words(results),
         "sources": SOURCES,
         "checks": _checks(whole),
+        "camera_tilt": field.camera_tilt if field else None,
         "field_sign_open": any(w.sign_open for w in whole),
         **(field.tables() if field else NO_FIELD_TABLES),
         "lens_table": lens,

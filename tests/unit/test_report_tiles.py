@@ -31,6 +31,7 @@ from tests.tiled_samples import (
     LATERAL,
     NEAR_MM,
     SHAPE,
+    TILT,
     a_model,
     tile_corners_px,
     tiled_results,
@@ -120,6 +121,14 @@ def test_limits_screws_and_places_have_their_tables() -> None:
         "distortion_percent": "fail",
         "lateral_colour_um": "fail",
     }
+    assert artist.camera_tilt is not None
+    # no target leans here: all of the slope is the camera's
+    slope = 2 * a_model().um_per_wave / FRAME.radius_mm * np.array(TILT)
+    pull = (artist.camera_tilt.value - slope) / np.sqrt(
+        np.diag(artist.camera_tilt.covariance)
+    )
+    assert np.abs(pull).max() < 3
+    assert tables["tilt_table"] is not None
     assert screws is not None
     # the sensor recedes to the left and down: the screw there goes towards the lens
     assert [row.cells[2][0] == "−" for row in screws.rows] == [True, False, False]

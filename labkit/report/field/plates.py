@@ -14,8 +14,11 @@ from labkit.field.focus_curves import through_focus
 from labkit.field.geometry import FieldGeometry
 from labkit.field.illumination import RelativeIllumination
 from labkit.field.limits import judge_limits
+from labkit.field.pair import Pair
 from labkit.field.session_geometry import corner_numbers, session_geometry
+from labkit.field.session_tilt import session_tilt
 from labkit.field.surfaces import ASTIGMATISM, focus_um
+from labkit.field.target_tilt import SeparatedTilt
 from labkit.field.terms import LensTerms, lens_terms
 from labkit.field.turned import planned_screws
 from labkit.figure_style import HALF_IN, Ink
@@ -65,6 +68,7 @@ from labkit.report.field.tables import (
     limit_table,
     places_table,
     screw_table,
+    tilt_table,
 )
 from labkit.report.field.tile_charts import (
     TileSight,
@@ -104,19 +108,37 @@ class FieldArtist:
         """Return what the report says of the field first."""
         return field_cards(self.terms)
 
+    @cached_property
+    def camera_tilt(self) -> SeparatedTilt | None:
+        """The slope of focus that is the camera's, without the target's lean; None where the places do not show it."""
+        if self.geometry is None:
+            return None
+        lens = self.results.thin_lens
+        return session_tilt(self.results, self.model, self.geometry, lens)
+
+    @property
+    def tilt(self) -> Pair:
+        """The slope of focus that screws change: the camera's, or that of the leading channel's focal surface."""
+        camera = self.camera_tilt
+        if camera is not None:
+            return Pair(camera.value, camera.covariance, "um/mm")
+        (lead,) = (t for t in self.terms if t.channel == self.lead)
+        return lead.tilt.slope
+
     def tables(self) -> dict[str, Table | None]:
         """Return the tables of the field by their names in the template; None for one without rows."""
         geometry, plan = self.geometry, self.results.plan
         others = {} if geometry is None else corner_numbers(geometry)
         limits = judge_limits(plan.limits, self.model, self.lead, others)
         screws = None if plan.mount.screws_mm is None else planned_screws(plan)
-        (lead,) = (t for t in self.terms if t.channel == self.lead)
+        camera = self.camera_tilt
         return {
             "field_table": field_table(self.terms),
             "limit_table": limit_table(limits) if limits else None,
             "light_over_table": light_table(self.illumination),
             "places_table": None if geometry is None else places_table(geometry, others),
-            "screw_table": None if screws is None else screw_table(lead, screws),
+            "tilt_table": None if camera is None else tilt_table(camera),
+            "screw_table": None if screws is None else screw_table(self.tilt, screws),
         }
 
     def files(self) -> Iterator[tuple[str, Rows, str]]:

@@ -10,6 +10,8 @@ from labkit.field.geometry import FieldGeometry
 from labkit.field.illumination import RelativeIllumination
 from labkit.field.limits import Judged, Numbers
 from labkit.field.mount import Screws, level
+from labkit.field.pair import Pair
+from labkit.field.target_tilt import SeparatedTilt
 from labkit.field.terms import LensTerms
 from labkit.report.table import MINUS, Column, Row, Table, channel_columns, estimated
 from labkit.uncertain import Uncertain
@@ -136,8 +138,19 @@ def places_table(geometry: FieldGeometry, corners: Mapping[str, Numbers]) -> Tab
     return Table(columns, tuple(rows))
 
 
-def screw_table(terms: LensTerms, screws: Screws) -> Table:
-    """Return what to do at each screw, from tilt alone."""
+def tilt_table(tilt: SeparatedTilt) -> Table:
+    """Return the slope of focus that is the camera's, without the target's lean."""
+    pair = Pair(tilt.value, tilt.covariance, "um/mm")
+    columns = (Column("", text=True), Column("", text=True), Column(""))
+    rows = [
+        Row(("The camera's part, down", "µm/mm", estimated(pair.down))),
+        Row(("right", "µm/mm", estimated(pair.right))),
+    ]
+    return Table(columns, tuple(rows))
+
+
+def screw_table(tilt: Pair, screws: Screws) -> Table:
+    """Return what to do at each screw, from the slope of focus alone, um/mm."""
     columns = (
         Column("screw", exact=True),
         Column("at x, y", "mm", exact=True),
@@ -147,7 +160,7 @@ def screw_table(terms: LensTerms, screws: Screws) -> Table:
         Column("what to do", text=True),
     )
     rows = []
-    for move, at in zip(level(terms.tilt.slope, screws), screws.places_mm, strict=True):
+    for move, at in zip(level(tilt, screws), screws.places_mm, strict=True):
         turn = [] if move.turn_deg is None else [estimated(move.turn_deg)]
         place = f"{at[0]:g}, {at[1]:g}".replace("-", MINUS)
         shim = estimated(move.shim_um) if move.shim_um.std else "none"
