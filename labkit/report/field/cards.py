@@ -38,13 +38,9 @@ def _curvature(terms: Sequence[LensTerms]) -> Card:
 
 
 def _coma(terms: Sequence[LensTerms]) -> Card:
-    rows = [
-        (t.channel, (number_of(t.coma.magnitude), number_of(t.misaligned.rms)))
-        for t in terms
-    ]
-    note = "Coma that is equal all over the frame, and all that misalignment adds to the wavefront besides focus, waves RMS."
-    head = ("constant coma, waves", "misalignment")
-    return Card("Decentre", note, tuple(rows), head)
+    rows = [(t.channel, (number_of(t.coma.magnitude),)) for t in terms]
+    note = "Coma that is equal all over the frame, the mark of a decentred lens."
+    return Card("Decentre", note, tuple(rows), ("constant coma, waves RMS",))
 
 
 def _degrees(angle: Uncertain) -> str:
