@@ -190,12 +190,6 @@ def open_grid(spec: TargetSpec) -> TargetGrid | None:
     return TargetGrid(open_target(spec), spec.grid, spec.pitch_mm, spec.marks)
 
 
-def tiles_of(spec: TargetSpec) -> int:
-    """Return the number of equal targets: 1 without a grid."""
-    grid = open_grid(spec)
-    return 1 if grid is None else grid.grid[0] * grid.grid[1]
-
-
 def whole_target(spec: TargetSpec | str) -> Target:
     """Open all that a display or a print shows: the grid of targets, or the single target.
 

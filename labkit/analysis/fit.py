@@ -64,7 +64,6 @@ from labkit.session.stated import contradictions
 from labkit.session.verify import altered as altered_files
 from labkit.session.verify import as_error, unused
 from labkit.target import Target, open_target
-from labkit.target_grid import tiles_of
 from labkit.types import Progress, no_progress
 
 FIT_AGAIN = "fit again: that goes on where this one ended"
@@ -138,7 +137,7 @@ def fit(
         name or ("latest" if whole else _partial_name(ranges_mm, channels))
     )
     _refuse_loss(folder, keys)
-    workers = min(workers or default_workers(), len(keys) * tiles_of(plan.target))
+    workers = _processes(workers or default_workers(), plan, len(keys))
     target, steps = open_target(plan.target), Steps(progress)
     together = None
     with fitted_alone(folder):
@@ -175,6 +174,12 @@ def fit(
             every["-before"] = results_of(change.before)
             every["-after"] = results_of(change.after)
         return _written(folder, every, kept, fits.lost)
+
+
+def _processes(most: int, plan: Plan, wavefronts: int) -> int:
+    """Return a number of processes: no more than there are wavefronts, unless each is of many tiles."""
+    tiled = plan.target.of_many or plan.field.cuts
+    return most if tiled else min(most, wavefronts)
 
 
 @contextmanager

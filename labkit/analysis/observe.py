@@ -1,7 +1,8 @@
 """Prepare a session's frames for fits: calibrate, find the target, and cut to the target."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import inf
 
 import numpy as np
 
@@ -24,7 +25,12 @@ from labkit.estimation.climb import NoisePrior
 from labkit.estimation.likelihood import FrameData, low_orders
 from labkit.estimation.observation import Observation
 from labkit.finder.carpet_squares import central_square
-from labkit.finder.cut import cut_around, sees_no_neighbour, sees_target_only
+from labkit.finder.cut import (
+    cut_around,
+    cut_within,
+    sees_no_neighbour,
+    sees_target_only,
+)
 from labkit.finder.find_target import find_target, grey_image
 from labkit.finder.lattice import find_tiles
 from labkit.finder.plausibility import Sight, refuse_contradictions
@@ -36,8 +42,8 @@ from labkit.key import Key, Tile, same_range
 from labkit.optics.lens import ThinLens, ground_sample_mm
 from labkit.panel.target_pixels import as_shown
 from labkit.photographs.decoding import read_photograph
-from labkit.photographs.photograph import Photograph
-from labkit.plan import Plan
+from labkit.photographs.photograph import Cut, Photograph
+from labkit.plan import FieldSettings, Plan
 from labkit.session.frame import Frame, distinct
 from labkit.session.session import Session
 from labkit.target import Target, open_target
@@ -57,6 +63,15 @@ class _Shot:
     frame: Frame
     mosaic: Photograph
     corners_px: Mapping[Tile | None, Floats]
+
+
+@dataclass(frozen=True)
+class _Region:
+    """A part of the photographs that is fitted: its tile, the target's corners (4, 2) in each, and the cut."""
+
+    tile: Tile | None
+    corners_px: list[Floats]
+    cut: Cut
 
 
 def observe(
@@ -106,18 +121,18 @@ def observe(
     for done, group in enumerate(groups):
         progress(done, len(groups), "finding the target")
         shots = [_locate(frame, plan, target) for frame in group]
-        tiles, left_out = _tiles_in_all(shots, plan)
+        regions, left_out = _regions(shots, plan)
         findings += left_out
         for name in channels:
-            for tile in tiles:
+            for region in regions:
                 try:
                     of, assumed = _observation(
-                        calibration, target, shots, name, tile, clear_mm
+                        calibration, target, shots, name, region, clear_mm
                     )
                 except DataError as error:
-                    if tile is None:
+                    if region.tile is None:
                         raise
-                    key = Key(group[0].range_mm, name, tile)
+                    key = Key(group[0].range_mm, name, region.tile)
                     findings.append(found("tile-left-out", key, {"why": str(error)}))
                     continue
                 order = min(map(frames.index, group))
@@ -202,21 +217,26 @@ def selected(
     return at, names
 
 
-def _tiles_in_all(
-    shots: Sequence[_Shot], plan: Plan
-) -> tuple[list[Tile | None], list[Finding]]:
-    """Return the tiles that all photographs of a range show, and findings about the others."""
+def _regions(shots: Sequence[_Shot], plan: Plan) -> tuple[list[_Region], list[Finding]]:
+    """Return what is fitted of the photographs of a range, and findings about a grid's targets that are not found.
+
+    A grid's targets that all photographs show, the tiles of a single target, or the whole target.
+    """
+    shape = shots[0].mosaic.shape
     tiles = [
         tile for tile in shots[0].corners_px if all(tile in s.corners_px for s in shots)
     ]
+    corners = {tile: [shot.corners_px[tile] for shot in shots] for tile in tiles}
     if (grid := open_grid(plan.target)) is None:
-        return tiles, []
+        (whole,) = corners.values()
+        return list(_cut_up(whole, plan.field, shape)), []
+    regions = [_Region(tile, of, cut_around(of, shape)) for tile, of in corners.items()]
     absent = sorted(set(np.ndindex(grid.grid)) - {*tiles})
     if not absent:
-        return tiles, []
+        return regions, []
     range_mm = shots[0].frame.range_mm
     words = {"at": at_range(range_mm), "named": ", ".join(map(str, absent))}
-    return tiles, [
+    return regions, [
         found(
             "tiles-not-found",
             None,
@@ -227,6 +247,25 @@ def _tiles_in_all(
             every=grid.grid[0] * grid.grid[1],
         )
     ]
+
+
+def _cut_up(
+    corners: list[Floats], field: FieldSettings, shape: tuple[int, ...]
+) -> Iterator[_Region]:
+    """Yield the tiles of a single target, each the same part of it in all photographs; or the whole target."""
+    if not field.cuts:
+        yield _Region(None, corners, cut_around(corners, shape))
+        return
+    pose = Pose.from_corners(corners[0], (1.0, 1.0))
+    sides = [
+        max(1, round(2 * side / (field.pitch_px or inf))) for side in pose.pixel_per_unit()
+    ]
+    rows, columns = field.tiles or sides
+    for row, column in np.ndindex(rows, columns):
+        at = np.add([[0, 0], [0, 1], [1, 1], [1, 0]], (row, column))
+        y, x = 2 * at.T / [[rows], [columns]] - 1
+        inside = [Pose.from_corners(one, (1.0, 1.0)).to_pixels(y, x) for one in corners]
+        yield _Region((row, column), corners, cut_within(inside, shape))
 
 
 def _locate(frame: Frame, plan: Plan, target: Target) -> _Shot:
@@ -294,7 +333,7 @@ def _observation(
     target: Target,
     shots: Sequence[_Shot],
     channel: str,
-    tile: Tile | None,
+    region: _Region,
     clear_mm: float | None,
 ) -> tuple[Observation, tuple[Finding, ...]]:
     """Return the observation of one range, channel and tile, and findings about assumptions.
@@ -303,9 +342,8 @@ def _observation(
     """
     first = shots[0].mosaic
     group = [shot.frame for shot in shots]
-    corners = [shot.corners_px[tile] for shot in shots]
-    rows, columns = cut = cut_around(corners, first.shape)
-    outline = [Pose.from_corners(one, target.size_mm) for one in corners]
+    rows, columns = cut = region.cut
+    outline = [Pose.from_corners(one, target.size_mm) for one in region.corners_px]
     poses = tuple(pose.shifted(rows.start, columns.start) for pose in outline)
     data = [
         channel_data(calibration, shot.frame, shot.mosaic, channel, cut) for shot in shots
@@ -344,7 +382,7 @@ def _observation(
         homings=tuple(
             int(frame.meta["homing"]) for frame in group if "homing" in frame.meta
         ),
-        tile=tile,
+        tile=region.tile,
         photograph_px=first.shape[:2],
     )
     return observation, tuple(finding for part in data for finding in part.findings)

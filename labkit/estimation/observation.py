@@ -58,11 +58,11 @@ class Observation:
 
     @property
     def place(self) -> tuple[float, float]:
-        """(y, x) of a tile's middle from the middle of the raw image, over half the image's diagonal; (0, 0) without tiles."""
+        """(y, x) of the cut's middle from the middle of the raw image, over half the image's diagonal; (0, 0) without tiles."""
         if self.tile is None:
             return 0.0, 0.0
-        middle = np.mean([pose.v[[0, 3]] for pose in self.poses], axis=0)
-        y, x = FieldFrame(self.photograph_px).relative(middle + self.origin_px)
+        middle = np.array(self.origin_px) + (np.array(self.shape) - 1) / 2
+        y, x = FieldFrame(self.photograph_px).relative(middle)
         return float(y), float(x)
 
     @property

@@ -26,13 +26,22 @@ INSET_PX = 4
 """The same, at least."""
 
 
+def cut_within(corners: Sequence[Floats], shape: tuple[int, ...]) -> Cut:
+    """Return rows and columns that quadrilaterals of corners (4, 2) span in all frames, starting at even ones."""
+    return _even(np.concatenate(list(corners)), 0.0, shape)
+
+
 def cut_around(corners: Sequence[Floats], shape: tuple[int, ...]) -> Cut:
     """Return rows and columns around the target in all frames, starting at even ones."""
     every = np.concatenate(list(corners))
     size = np.ptp(every, axis=0).max()
-    margin = max(MARGIN_PX, MARGIN * size)
-    low = np.maximum(np.floor(every.min(axis=0) - margin), 0).astype(int) // 2 * 2
-    high = np.minimum(np.ceil(every.max(axis=0) + margin).astype(int) + 1, shape)
+    return _even(every, max(MARGIN_PX, MARGIN * size), shape)
+
+
+def _even(places: Floats, margin: float, shape: tuple[int, ...]) -> Cut:
+    """Return rows and columns that places (n, 2) span with a margin, of even starts and sizes."""
+    low = np.maximum(np.floor(places.min(axis=0) - margin), 0).astype(int) // 2 * 2
+    high = np.minimum(np.ceil(places.max(axis=0) + margin).astype(int) + 1, shape)
     high -= (high - low) % 2
     return slice(int(low[0]), int(high[0])), slice(int(low[1]), int(high[1]))
 

@@ -45,6 +45,11 @@ class FieldSettings(Table):
     """Highest radial order of the polynomials in the place on the frame; 0 is a wavefront that is the same everywhere.
     Default: as high as the photographs show."""
 
+    @property
+    def cuts(self) -> bool:
+        """Return whether a single target is cut into tiles."""
+        return self.tiles is not None or self.pitch_px is not None
+
     @model_validator(mode="after")
     def _one_way(self) -> FieldSettings:
         if self.tiles is not None and self.pitch_px is not None:
