@@ -23,7 +23,7 @@ from labkit.field.session_geometry import corner_numbers, session_geometry
 from labkit.field.surfaces import Surface, focus_um
 from labkit.field.symmetry import Share
 from labkit.field.terms import LensTerms, lens_terms
-from labkit.field.tiles import Tile, tiles_of
+from labkit.field.tiles import Tile, sign_is_open, tiles_of
 from labkit.field.turned import planned_screws
 from labkit.optics.field import FieldModel
 from labkit.optics.mtf import Curve, mtf, mtf50
@@ -35,6 +35,11 @@ from labkit.uncertain import Uncertain
 NO_FIELD = (
     "these results have no field: photograph a grid of targets that fills the frame "
     "([target] grid and pitch_mm in the plan), then run labkit fit"
+)
+
+SIGN_OPEN_NOTE = (
+    "these photographs leave a sign open: tilt, curvature, astigmatism and focus may all have the other sign, "
+    "and no screw can be told to move; a second range tells"
 )
 
 
@@ -72,7 +77,9 @@ class FieldSummary:
     geometry : distortion and lateral colour; None for tiles that are no grid of equal targets
     screws : what to do at each screw of the plan's mount
     tiles : of the target
-    notes : frequencies that are left out
+    sign_open : whether tilt, curvature, astigmatism and focus may all have the other sign,
+        as from one range; screws are then left out
+    notes : frequencies that are left out, and an open sign
     """
 
     model: FieldModel
@@ -84,6 +91,7 @@ class FieldSummary:
     geometry: FieldGeometry | None
     screws: tuple[ScrewMove, ...]
     tiles: tuple[Tile, ...]
+    sign_open: bool
     notes: tuple[str, ...]
 
     @cached_property
@@ -109,6 +117,7 @@ class FieldSummary:
             "geometry": None if self.geometry is None else self.geometry.as_json(),
             "screws": [one.as_json() for one in self.screws],
             "tiles": [one.as_json() for one in self.tiles],
+            "sign_open": self.sign_open,
             "notes": list(self.notes),
         }
 
@@ -136,6 +145,8 @@ def summarise(results: Results, channel: str | None = None) -> FieldSummary:
     geometry = session_geometry(results)
     others = {} if geometry is None else corner_numbers(geometry)
     slope = terms[leading].tilt.slope
+    sign_open = sign_is_open(results)
+    told = not sign_open and plan.mount.screws_mm is not None
     return FieldSummary(
         model,
         leading,
@@ -144,9 +155,10 @@ def summarise(results: Results, channel: str | None = None) -> FieldSummary:
         points_of(model, leading, frequency),
         judge_limits(plan.limits, model, leading, others),
         geometry,
-        () if plan.mount.screws_mm is None else level(slope, planned_screws(plan)),
+        level(slope, planned_screws(plan)) if told else (),
         tiles_of(results, model),
-        notes,
+        sign_open,
+        (*notes, SIGN_OPEN_NOTE) if sign_open else notes,
     )
 
 

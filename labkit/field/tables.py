@@ -43,14 +43,16 @@ def headline(summary: FieldSummary) -> str:
     return (
         f"sensor tilt in {summary.channel}: {text(slope)} µm/mm, "
         f"{text(tilt.angle.magnitude)} arcmin, {text(tilt.over_frame)} µm over the frame; "
-        f"{_towards(tilt.direction_deg)}"
+        f"{_towards(tilt.direction_deg, sign_open=summary.sign_open)}"
     )
 
 
-def _towards(direction: Uncertain) -> str:
+def _towards(direction: Uncertain, *, sign_open: bool) -> str:
     if not direction.std < UNCLEAR_DEG:
         return "the errors leave its direction open"
     towards = f"{direction.value:.0f}° ± {direction.std:.0f}°"
+    if sign_open:
+        towards += ", or the opposite way"
     return f"the sensor recedes from the lens towards {towards} (0° right, 90° down)"
 
 

@@ -63,6 +63,11 @@ def tiles_of(results: Results, model: FieldModel) -> tuple[Tile, ...]:
     )
 
 
+def sign_is_open(results: Results) -> bool:
+    """Return whether all even modes may have the other sign together, as from one range."""
+    return len(results.ranges_mm) < 2 or any(fit.sign_open for fit in results)
+
+
 def _tile(
     tile: Place, fits: Sequence[Wavefront], model: FieldModel, remarks: Sequence[str]
 ) -> Tile:

@@ -182,3 +182,16 @@ def test_a_tilt_within_its_errors_has_no_direction() -> None:
         "the errors leave its direction open"
     )
     assert "not determined" in headline(summarise(tiled(a_field(order=0))))
+
+
+def test_an_open_sign_is_said_and_moves_no_screw() -> None:
+    sure = tiled_results()
+    assert len(summarise(sure).screws) == 3
+    wavefronts = tuple(replace(w, sign_open=True) for w in sure)
+    one_range = tuple(w for w in sure if w.range_mm == 3000.0)
+    for fits in (wavefronts, one_range):
+        summary = summarise(replace(sure, wavefronts=fits))
+        assert summary.screws == ()
+        assert "or the opposite way" in headline(summary)
+        assert summary.notes[-1].endswith("a second range tells")
+        assert summary.as_json()["sign_open"] is True
