@@ -19,6 +19,7 @@ from labkit.estimation.laws import (
     FIELD_KINDS,
     FIELD_MODE,
     FIELD_SCALE,
+    FIELD_TILT,
     Column,
 )
 from labkit.estimation.settings import SETTINGS
@@ -31,6 +32,9 @@ from labkit.types import Floats
 Family = tuple[str, int, int, bool]
 """Kind of a column, radial order in the field, radial order in the pupil (0 for cone and scale), and whether the azimuthal
 orders are alike: a lens that is rotationally symmetric has no other terms."""
+
+TILT_ORDER = 2
+"""Radial order in the field up to which a tilted plane changes the scale beyond its error."""
 
 BEFORE: Mapping[str, float] = {
     FIELD_MODE: SETTINGS.field_waves,
@@ -48,17 +52,30 @@ def usual_order(tiles: int) -> int:
 
 
 def common_columns(
-    order: int, noll: Sequence[int], spread: Mapping[Family, float]
+    order: int,
+    noll: Sequence[int],
+    spread: Mapping[Family, float],
+    stations: Sequence[float],
 ) -> Iterator[Column]:
     """Yield the columns that all channels share: modes, cone and scale times the field's polynomials up to an order.
 
-    spread: standard deviations by family, where they differ from those before the session
+    The target's tilt changes the scale at each station in its own way.
+
+    Parameters
+    ----------
+    order : radial order in the field
+    noll : the modes
+    spread : standard deviations by family, where they differ from those before the session
+    stations : positions of the rail
     """
     for k in field_terms(order)[1:]:
         for j in noll:
             yield _column(FIELD_MODE, (k, j), spread)
         yield _column(FIELD_CONE, (k,), spread)
         yield _column(FIELD_SCALE, (k,), spread)
+    for station in stations:
+        for k in field_terms(min(order, TILT_ORDER))[1:]:
+            yield Column(FIELD_TILT, SETTINGS.loose, name=(station, k))
 
 
 def own_columns(
@@ -97,6 +114,23 @@ def design(
         rows[:, row, at] = modes_at((k,), places[:, 1], places[:, 0])[0]
         if pupil == [DEFOCUS]:
             rows[:, row, at] -= in_the_middle(k)
+    return rows
+
+
+def station_design(
+    columns: Sequence[Column], places: Floats, stations: Sequence[float]
+) -> Floats:
+    """Return derivatives (n, columns) of ln of the scale by the columns of the stations; 0 for other columns.
+
+    places : (n, 2) as in `Reading.place`
+    stations : of the n observations
+    """
+    rows = np.zeros((len(places), len(columns)))
+    for at, column in enumerate(columns):
+        if column.kind == FIELD_TILT:
+            station, k = column.name
+            here = np.array(stations) == station
+            rows[here, at] = modes_at((int(k),), places[here, 1], places[here, 0])[0]
     return rows
 
 

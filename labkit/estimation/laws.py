@@ -29,6 +29,7 @@ FIELD_MODE = "mode over the field"
 FIELD_CONE = "cone over the field"
 FIELD_SCALE = "scale over the field"
 FIELD_COLOUR = "colour over the field"
+FIELD_TILT = "target's tilt over the field"
 
 GEOMETRY = (
     FOCAL_LENGTH,
@@ -43,7 +44,16 @@ GEOMETRY = (
 FIELD_KINDS = (FIELD_MODE, FIELD_CONE, FIELD_SCALE)
 """Terms of the field's expansion beyond its mean; `FIELD_COLOUR` is what each channel adds to those of the modes."""
 
-OPEN = (FOCUS, AXIAL_COLOUR, LATERAL_COLOUR, PART, COMMON_MODE, MODE, *FIELD_KINDS)
+OPEN = (
+    FOCUS,
+    AXIAL_COLOUR,
+    LATERAL_COLOUR,
+    PART,
+    COMMON_MODE,
+    MODE,
+    *FIELD_KINDS,
+    FIELD_TILT,
+)
 """Columns that are unknown before the session: their prior is not a measurement."""
 
 Name = tuple[str | float, ...]

@@ -21,6 +21,7 @@ from labkit.estimation.field_terms import (
     common_columns,
     design,
     own_columns,
+    station_design,
     usual_order,
 )
 from labkit.estimation.laws import (
@@ -315,7 +316,7 @@ class LensModel:
         homings = {homing for reading in self.readings for homing in reading.homings}
         for homing in sorted(homings)[1:]:
             yield Column(HOMING_LABEL, stated.homing_std_mm, name=(homing,))
-        for station in sorted({reading.station for reading in self.readings}):
+        for station in self._stations:
             yield Column(STEPS_LABEL, stated.range_std_mm, name=(station,))
         yield Column(FOCUS, 100 * far, far)
         for channel in self.channels:
@@ -331,10 +332,16 @@ class LensModel:
             yield Column(COMMON_MODE, SETTINGS.unknown, name=(j,))
             for channel in self.channels:
                 yield Column(MODE, SETTINGS.colour_modes_std, name=(channel, j))
-        yield from common_columns(self.field_order, self.noll, self.field_spread)
+        yield from common_columns(
+            self.field_order, self.noll, self.field_spread, self._stations
+        )
         for kind, name in ONLY_MISTAKEN:  # last: other columns keep their places
             if (kind, name) == self.laws.mistaken:
                 yield Column(kind, SETTINGS.loose)
+
+    @property
+    def _stations(self) -> list[float]:
+        return sorted({reading.station for reading in self.readings})
 
     @cached_property
     def _map(self) -> tuple[Floats, Floats, Floats]:
@@ -361,6 +368,8 @@ class LensModel:
         own = np.zeros((n, rows, len(self.local_columns)))
         places = np.array([reading.place for reading in self.readings])
         common[:, : self.values] += design(self.columns, places, self.noll, self.values)
+        stations = [reading.station for reading in self.readings]
+        common[:, self.values - 1] += station_design(self.columns, places, stations)
         own[:, : self.values] = design(self.local_columns, places, self.noll, self.values)
         return offset, common, own
 

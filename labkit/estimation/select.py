@@ -458,13 +458,8 @@ def _misfit(model: LensModel, ranges: Floats, values: Floats, like: Floats | Non
 
 
 def _open_signs(choices: _Choices, choice: Indices, members: Bools, value: float) -> Bools:
-    """Return which observations have the other sign in a choice that is hardly less likely; outliers always count.
-
-    Tiles are not tested: the field determines their signs.
-    """
+    """Return which observations have the other sign in a choice that is hardly less likely; outliers always count."""
     found = choices.options.fitted & ~members
-    if choices.model.tiled:
-        return found
     for turned in _other_signs(choices, choice, members):
         if found[turned].all():
             continue
@@ -478,11 +473,13 @@ def _open_signs(choices: _Choices, choice: Indices, members: Bools, value: float
 def _other_signs(choices: _Choices, choice: Indices, members: Bools) -> Iterator[Indices]:
     """Yield members to turn together: all, those of one station, and of each channel as many as its law of defocus allows.
 
-    Over range, defocus changes from negative to positive once.
+    Over range, defocus changes from negative to positive once. Of tiles, all turn together: the field determines the rest.
     """
     every = np.flatnonzero(members)
     readings = [one.reading for one in choices.observed]
     yield every
+    if choices.model.tiled:
+        return
     for station in dict.fromkeys(readings[k].station for k in every):
         yield np.array([k for k in every if readings[k].station == station])
     for channel in choices.model.channels:

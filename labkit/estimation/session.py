@@ -77,7 +77,7 @@ class _Loop:
     anchors : observations that were searched from nothing
     starts : predictions from which each observation was climbed
     deep : whether a search without limit was made
-    again : observations that were doubted and refitted from a prediction
+    first : optimum of each observation's first fit
     refits : refits from the present optima, with other parts and modes
     """
 
@@ -89,7 +89,7 @@ class _Loop:
     anchors: list[int] = field(default_factory=list)
     starts: dict[int, list[Floats]] = field(default_factory=dict)
     deep: bool = False
-    again: set[int] = field(default_factory=set)
+    first: dict[int, Optimum] = field(default_factory=dict)
     _selected: tuple[dict[int, Found], Selection | None] | None = None
     _parts_chosen_by: dict[int, float] = field(default_factory=dict)
 
@@ -252,7 +252,6 @@ class _Loop:
             elif not any(one.held for one in self.found[k].optima):
                 state = replace(self.chosen(k).state, waves=waves)
                 doubted[k] = replace(self._guess(), state=state, held=True)
-        self.again |= doubted.keys()
         return doubted
 
     def _new(self, k: int, waves: Floats) -> bool:
@@ -305,6 +304,7 @@ class _Loop:
         doing = "searching from nothing" if blind else "fitting"
         self.search.later = None if blind else self._to_come()
         for k, found in self.search(wanted, doing).items():
+            self.first.setdefault(k, found.best)
             self.found[k] = self.found[k].joined(found) if k in self.found else found
         for k, guess in guesses.items():
             self.starts.setdefault(k, []).extend(guess.starts)
@@ -477,11 +477,19 @@ class _Loop:
         outliers = tuple(
             i for i in contribute if i not in members and selection.choice[rows[i]] != OUT
         )
-        refitted = tuple(i for i in members if places[i] in self.again)
+        refitted = tuple(i for i in members if self._mended(places[i]))
         signed = tuple(i for i in members if not selection.open_signs[rows[i]])
         return Estimate(
             fits, selection.lens, members, outliers, refitted, signed, lost=lost
         )
+
+    def _mended(self, k: int) -> bool:
+        """Return whether observation k has another optimum than its first fit found."""
+        chosen, first = self.chosen(k), self.first.get(k)
+        if first is None or first.noll != chosen.noll:
+            return False
+        away = np.linalg.norm(first.nearest_to(chosen).waves - chosen.waves)
+        return bool(away > SETTINGS.other_optimum_waves)
 
 
 def _same(found: Mapping[int, Found], other: Mapping[int, Found]) -> bool:

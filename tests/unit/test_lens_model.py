@@ -93,7 +93,8 @@ def true_values(model: LensModel, theta: Any, own: Any, k: int) -> Any:
                 for mode, j in zip([waves, *upper], NOLL, strict=True)
             )
             cone = cone + height * at("cone over the field", k)
-            scale = scale + height * at("scale over the field", k)
+            tilt = at("target's tilt over the field", here.station, k)
+            scale = scale + height * (at("scale over the field", k) + tilt)
     wavelength = at("wavelength", channel) + (at("wavelength") if common_light else 0.0)
     modes = [mode * np.exp(-wavelength) for mode in (waves, *upper)]
     pitch = at("pixel pitch") if model.laws.mistaken == (PIXEL_PITCH, ()) else 0.0
