@@ -91,7 +91,7 @@ def a_wavefront(
         "seconds": 4.2,
         "frames": (f"target_{range_mm}_{channel}.dng",),
         "placement": Placement(
-            (10, 20), (24, 30), np.array([[[0, 0], [0, 9], [9, 9], [9, 0.0]]] * 2)
+            (10, 20), (24, 30), np.array([[[12, 22], [12, 40], [30, 40], [30, 22.0]]] * 2)
         ),
         "residuals": noise(),
     }

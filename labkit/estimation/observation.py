@@ -10,7 +10,7 @@ from labkit.estimation.climb import NoisePrior
 from labkit.estimation.likelihood import FrameData
 from labkit.imaging.warp import Pose
 from labkit.key import Key, Tile
-from labkit.optics.field import FieldFrame
+from labkit.optics.field import FieldFrame, centre_px
 from labkit.types import Floats
 
 
@@ -58,10 +58,10 @@ class Observation:
 
     @property
     def place(self) -> tuple[float, float]:
-        """(y, x) of the cut's middle from the middle of the raw image, over half the image's diagonal; (0, 0) without tiles."""
+        """(y, x) of the tile's middle from the middle of the raw image, over half the image's diagonal; (0, 0) without tiles."""
         if self.tile is None:
             return 0.0, 0.0
-        middle = np.array(self.origin_px) + (np.array(self.shape) - 1) / 2
+        middle = centre_px(np.array(self.corners_px), self.origin_px, self.shape)
         y, x = FieldFrame(self.photograph_px).relative(middle)
         return float(y), float(x)
 

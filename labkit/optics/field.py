@@ -69,6 +69,33 @@ class FieldFrame:
         return modes_at(tuple(field), at[..., 1], at[..., 0])
 
 
+def centre_px(
+    corners_px: Floats, origin_px: tuple[int, int], shape_px: tuple[int, int]
+) -> Floats:
+    """Return the (row, column) of a tile's middle.
+
+    Of a target that a cut holds, where its diagonals cross, as a mean over photographs; of a part of a target, the middle of the
+    cut.
+
+    Parameters
+    ----------
+    corners_px : (frames, 4, 2) of the target, in pixels of the raw image
+    origin_px, shape_px : of the cut
+    """
+    origin, shape = np.array(origin_px), np.array(shape_px)
+    away = corners_px - origin
+    if np.any(away < -0.5) or np.any(away > shape - 0.5):
+        return np.asarray(origin + (shape - 1) / 2)
+    first, second, third, last = np.moveaxis(_homogeneous(away), 1, 0)
+    middle = np.cross(np.cross(first, third), np.cross(second, last))
+    return np.asarray(origin + np.mean(middle[:, :2] / middle[:, 2:], axis=0))
+
+
+def _homogeneous(places: Floats) -> Floats:
+    """Return places (..., 2) with a third coordinate, 1."""
+    return np.append(places, np.ones((*places.shape[:-1], 1)), axis=-1)
+
+
 def field_terms(order: int) -> tuple[int, ...]:
     """Return Noll's numbers of the field's polynomials up to a radial order: order 2 has 1 to 6."""
     return tuple(range(1, (order + 1) * (order + 2) // 2 + 1))

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from labkit.key import Key
 from labkit.optics import metrics
+from labkit.optics.field import centre_px
 from labkit.optics.lens import ThinLens
 from labkit.optics.mtf import Curve, Direction, mtf
 from labkit.optics.rim import ROUND, Rim
@@ -121,17 +122,8 @@ class Placement:
 
     @property
     def centre_px(self) -> tuple[float, float]:
-        """(row, column) of the target's middle, where its diagonals cross, as a mean over the photographs.
-
-        Of a part of a target, elsewhere in the photographs, the middle of the cut.
-        """
-        corners = np.append(self.corners_px, np.ones((len(self.corners_px), 4, 1)), axis=2)
-        first, second, third, last = np.moveaxis(corners, 1, 0)
-        middle = np.cross(np.cross(first, third), np.cross(second, last))
-        at = np.mean(middle[:, :2] / middle[:, 2:], axis=0) - self.origin_px
-        if np.any(at < 0) or np.any(at > self.shape_px):
-            at = (np.array(self.shape_px) - 1) / 2
-        row, column = at + self.origin_px
+        """(row, column) of the tile's middle, see `labkit.optics.field.centre_px`."""
+        row, column = centre_px(self.corners_px, self.origin_px, self.shape_px)
         return float(row), float(column)
 
 
