@@ -168,7 +168,11 @@ def draw_real_lens(seed: int, index: int) -> Drawn:
     ranges_mm = _ranges_at(lens, best_mm, stations)
     drawn = _session(lens, ranges_mm, "through focus", rng, REAL_ELECTRONS)
     kind = {**drawn.kind, "field_deg": field_deg}
-    return Drawn(drawn.plan.replace(fit={"zernike_noll": None}), drawn.settings, kind)
+    channels = [
+        {"name": name, "wavelength_nm": nm} for name, nm in lens.wavelength_nm.items()
+    ]
+    plan = drawn.plan.replace(channel=channels, fit={"zernike_noll": None})
+    return Drawn(plan, drawn.settings, kind)
 
 
 def draw_with_parts(seed: int, index: int) -> Drawn:
