@@ -14,14 +14,17 @@ import numpy as np
 
 from labkit.errors import DataError
 from labkit.field.curves import Band, Profile, profiles, usable_frequencies
+from labkit.field.findings import geometry_findings, tilt_findings
 from labkit.field.focus_curves import FocusCurve, through_focus
 from labkit.field.geometry import FieldGeometry
 from labkit.field.limits import Judged, judge_limits
 from labkit.field.mount import ScrewMove, level
 from labkit.field.places import azimuth_of, detail_deg, field_points
 from labkit.field.session_geometry import corner_numbers, session_geometry
+from labkit.field.session_tilt import session_tilt
 from labkit.field.surfaces import Surface, focus_um
 from labkit.field.symmetry import Share
+from labkit.field.target_tilt import SeparatedTilt
 from labkit.field.terms import LensTerms, lens_terms
 from labkit.field.tiles import Tile, tiles_of
 from labkit.field.turned import planned_screws
@@ -70,9 +73,10 @@ class FieldSummary:
     points : of centre, edges and corners, sagittal and tangential
     limits : of the plan
     geometry : distortion and lateral colour; None for tiles that are no grid of equal targets
+    camera_tilt : slope of focus without the target's lean; None without a geometry, or without tiles for it
     screws : what to do at each screw of the plan's mount
     tiles : of the target
-    notes : frequencies that are left out
+    notes : frequencies that are left out, tiles out of place, a bent target, what is unknown of tilts
     """
 
     model: FieldModel
@@ -82,6 +86,7 @@ class FieldSummary:
     points: tuple[FieldPoint, ...]
     limits: tuple[Judged, ...]
     geometry: FieldGeometry | None
+    camera_tilt: SeparatedTilt | None
     screws: tuple[ScrewMove, ...]
     tiles: tuple[Tile, ...]
     notes: tuple[str, ...]
@@ -107,6 +112,7 @@ class FieldSummary:
             "through_focus": [_focus_as_json(one) for one in self.through_focus],
             "limits": [one.as_json() for one in self.limits],
             "geometry": None if self.geometry is None else self.geometry.as_json(),
+            "camera_tilt": None if self.camera_tilt is None else self.camera_tilt.as_json(),
             "screws": [one.as_json() for one in self.screws],
             "tiles": [one.as_json() for one in self.tiles],
             "notes": list(self.notes),
@@ -135,6 +141,9 @@ def summarise(results: Results, channel: str | None = None) -> FieldSummary:
     terms = {name: lens_terms(model, name) for name in model.channels}
     geometry = session_geometry(results)
     others = {} if geometry is None else corner_numbers(geometry)
+    tilt = None
+    if geometry is not None:
+        tilt = session_tilt(results, model, geometry, results.thin_lens)
     slope = terms[leading].tilt.slope
     return FieldSummary(
         model,
@@ -144,10 +153,20 @@ def summarise(results: Results, channel: str | None = None) -> FieldSummary:
         points_of(model, leading, frequency),
         judge_limits(plan.limits, model, leading, others),
         geometry,
+        tilt,
         () if plan.mount.screws_mm is None else level(slope, planned_screws(plan)),
         tiles_of(results, model),
-        notes,
+        (*notes, *_geometry_notes(geometry, tilt)),
     )
+
+
+def _geometry_notes(
+    geometry: FieldGeometry | None, tilt: SeparatedTilt | None
+) -> tuple[str, ...]:
+    """Return what the tiles' places say, in sentences."""
+    of_places = () if geometry is None else geometry_findings(geometry)
+    of_tilts = () if tilt is None else tilt_findings(tilt)
+    return tuple(finding.text for finding in (*of_places, *of_tilts))
 
 
 def points_of(
