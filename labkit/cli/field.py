@@ -49,6 +49,8 @@ def show(
     summary = summarise(Results.load(session, name), channel)
     console.warn(*summary.notes)
     console.say(tables.headline(summary))
+    if summary.camera_tilt is not None:
+        console.say(summary.camera_tilt.words)
     for rows in (
         tables.term_rows(summary),
         tables.significance_rows(summary),

@@ -58,7 +58,7 @@ class Observation:
 
     @property
     def place(self) -> tuple[float, float]:
-        """(y, x) of the tile's middle from the middle of the raw image, over half the image's diagonal; (0, 0) without tiles."""
+        """(y, x) of the tile's middle from the middle of the raw image, over half its diagonal; (0, 0) without tiles."""
         if self.tile is None:
             return 0.0, 0.0
         middle = centre_px(np.array(self.corners_px), self.origin_px, self.shape)

@@ -14,14 +14,17 @@ import numpy as np
 
 from labkit.errors import DataError
 from labkit.field.curves import Band, Profile, profiles, usable_frequencies
+from labkit.field.findings import geometry_findings, tilt_findings
 from labkit.field.focus_curves import FocusCurve, through_focus
 from labkit.field.geometry import FieldGeometry
 from labkit.field.limits import Judged, judge_limits
 from labkit.field.mount import ScrewMove, level
 from labkit.field.places import azimuth_of, detail_deg, field_points
 from labkit.field.session_geometry import corner_numbers, session_geometry
+from labkit.field.session_tilt import session_tilt
 from labkit.field.surfaces import Surface, focus_um
 from labkit.field.symmetry import Share
+from labkit.field.target_tilt import SeparatedTilt
 from labkit.field.terms import LensTerms, lens_terms
 from labkit.field.tiles import Tile, sign_is_open, tiles_of
 from labkit.field.turned import planned_screws
@@ -75,11 +78,13 @@ class FieldSummary:
     points : of centre, edges and corners, sagittal and tangential
     limits : of the plan
     geometry : distortion and lateral colour; None for tiles that are no grid of equal targets
+    camera_tilt : slope of focus without the target's lean; None without a geometry, or without tiles for it
     screws : what to do at each screw of the plan's mount
     tiles : of the target
     sign_open : whether tilt, curvature, astigmatism and focus may all have the other sign,
         as from one range; screws are then left out
-    notes : frequencies that are left out, and an open sign
+    notes : frequencies that are left out, an open sign, tiles out of place, a bent target,
+        what is unknown of tilts
     """
 
     model: FieldModel
@@ -89,6 +94,7 @@ class FieldSummary:
     points: tuple[FieldPoint, ...]
     limits: tuple[Judged, ...]
     geometry: FieldGeometry | None
+    camera_tilt: SeparatedTilt | None
     screws: tuple[ScrewMove, ...]
     tiles: tuple[Tile, ...]
     sign_open: bool
@@ -115,6 +121,7 @@ class FieldSummary:
             "through_focus": [_focus_as_json(one) for one in self.through_focus],
             "limits": [one.as_json() for one in self.limits],
             "geometry": None if self.geometry is None else self.geometry.as_json(),
+            "camera_tilt": None if self.camera_tilt is None else self.camera_tilt.as_json(),
             "screws": [one.as_json() for one in self.screws],
             "tiles": [one.as_json() for one in self.tiles],
             "sign_open": self.sign_open,
@@ -144,7 +151,10 @@ def summarise(results: Results, channel: str | None = None) -> FieldSummary:
     terms = {name: lens_terms(model, name) for name in model.channels}
     geometry = session_geometry(results)
     others = {} if geometry is None else corner_numbers(geometry)
-    slope = terms[leading].tilt.slope
+    tilt = None
+    if geometry is not None:
+        tilt = session_tilt(results, model, geometry, results.thin_lens)
+    slope = terms[leading].tilt.slope if tilt is None else tilt.slope
     sign_open = sign_is_open(results)
     told = not sign_open and plan.mount.screws_mm is not None
     return FieldSummary(
@@ -155,11 +165,25 @@ def summarise(results: Results, channel: str | None = None) -> FieldSummary:
         points_of(model, leading, frequency),
         judge_limits(plan.limits, model, leading, others),
         geometry,
+        tilt,
         level(slope, planned_screws(plan)) if told else (),
         tiles_of(results, model),
         sign_open,
-        (*notes, SIGN_OPEN_NOTE) if sign_open else notes,
+        (
+            *notes,
+            *([SIGN_OPEN_NOTE] if sign_open else []),
+            *_geometry_notes(geometry, tilt),
+        ),
     )
+
+
+def _geometry_notes(
+    geometry: FieldGeometry | None, tilt: SeparatedTilt | None
+) -> tuple[str, ...]:
+    """Return what the tiles' places say, in sentences."""
+    of_places = () if geometry is None else geometry_findings(geometry)
+    of_tilts = () if tilt is None else tilt_findings(tilt)
+    return tuple(finding.text for finding in (*of_places, *of_tilts))
 
 
 def points_of(

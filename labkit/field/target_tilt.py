@@ -16,12 +16,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import nan, sqrt
+from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
 
 from labkit.arrays import real_array, symmetric
 from labkit.field.geometry import FieldGeometry
+from labkit.field.pair import Pair
 from labkit.field.tile_model import Numbers
 from labkit.optics.lens import ThinLens
 from labkit.types import Floats
@@ -98,6 +100,33 @@ class SeparatedTilt:
     share: Uncertain
     p_value: float
     unknown: tuple[str, ...]
+
+    @property
+    def slope(self) -> Pair:
+        """The camera's slope of focus, um/mm."""
+        return Pair(self.value, self.covariance, "µm/mm")
+
+    @property
+    def words(self) -> str:
+        """The camera's tilt in a sentence."""
+        std = np.sqrt(np.diag(self.covariance))
+        down, right = (
+            Uncertain(value, error) for value, error in zip(self.value, std, strict=True)
+        )
+        lean = "the target's lean" if not self.perspective_contradicted else "perspective"
+        return f"sensor tilt without {lean}, by the tiles: {down} µm/mm down, {right} µm/mm right"
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the tilt with its covariance, the share, and what is unknown."""
+        return {
+            "um_per_mm": {
+                "value": self.value.tolist(),
+                "covariance": self.covariance.tolist(),
+            },
+            "share_of_perspective": self.share.as_json(),
+            "p_value": None if np.isnan(self.p_value) else self.p_value,
+            "unknown": list(self.unknown),
+        }
 
     @property
     def perspective_contradicted(self) -> bool:

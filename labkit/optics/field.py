@@ -74,8 +74,8 @@ def centre_px(
 ) -> Floats:
     """Return the (row, column) of a tile's middle.
 
-    Of a target that a cut holds, where its diagonals cross, as a mean over photographs; of a part of a target, the middle of the
-    cut.
+    Of a target that a cut holds, where its diagonals cross, as a mean over photographs; of a part of a target, the middle of
+    the cut.
 
     Parameters
     ----------

@@ -93,3 +93,7 @@ def test_a_session_tells_the_sensor_s_tilt_from_the_target_s(share: float) -> No
     assert np.all(np.abs(found.value - [2.4, -1.5]) < 3 * errors)
     assert np.all(errors < 0.3)
     assert found.perspective_contradicted == (share == 0)
+    without = "perspective" if share == 0 else "the target's lean"
+    assert found.words.startswith(f"sensor tilt without {without}, by the tiles: 2.")
+    stated = found.as_json()
+    assert stated["share_of_perspective"]["value"] == pytest.approx(share, abs=0.3)
