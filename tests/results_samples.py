@@ -164,6 +164,7 @@ def full_results() -> Results:
                 residual_spectrum=left,
                 rim=CUT,
                 tile=(0, 1),
+                pulls=np.array([0.5, -1.25, 2.0]),
             ),
             a_wavefront(
                 channel="B",
@@ -172,6 +173,7 @@ def full_results() -> Results:
                 spectrum=BROAD,
                 rim=CUT,
                 tile=(1, 1),
+                pulls=np.array([-0.5, 0.0, 1.0]),
             ),
         ),
         plan=PLAN.replace(

@@ -103,6 +103,10 @@ MEANINGS = {
     "wavefronts[].origin_px": "Row and column, in the photograph, of the first pixel that was fitted.",
     "wavefronts[].shape_px": "Rows and columns of the cut that was fitted.",
     "wavefronts[].tile": "Row and column of the tile; null for the whole frame.",
+    "wavefronts[].pulls": (
+        "Each mode of a tile's own fit less the prediction of all other tiles, over the standard error of the difference; null "
+        "without a field."
+    ),
     "wavefronts[].centre_px": "Row and column of the tile's middle; of tiles only.",
     "wavefronts[].corners_px": "Corners of the target in each photograph, `[row, column]`, as fitted.",
     "focus": "Best focus and pupil magnification; null where ranges or defocus are missing:",

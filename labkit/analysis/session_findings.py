@@ -142,7 +142,9 @@ def _search_findings(session: Estimate, patience_s: float) -> list[Finding]:
         for k, (key, local) in enumerate(zip(keys, session.fits, strict=True))
         if local.found.cut_short and k not in session.members
     ]
-    findings += [found("fit-mended", keys[k]) for k in session.refitted_members]
+    # a tile's first fit begins from another tile's wavefront, and is expected to be mended
+    mended = [k for k in session.refitted_members if keys[k].tile is None]
+    findings += [found("fit-mended", keys[k]) for k in mended]
     if second_camp(session):
         findings.append(
             two_camps(

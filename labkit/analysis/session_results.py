@@ -10,6 +10,7 @@ import numpy as np
 from labkit.estimation.candidate import mostly_unexplained
 from labkit.estimation.doubts import confirmed, shift
 from labkit.estimation.estimate import Estimate, LocalFit
+from labkit.estimation.held_out import pulls_of_tiles
 from labkit.estimation.laws import (
     F_NUMBER,
     FOCAL_LENGTH,
@@ -42,6 +43,7 @@ from labkit.uncertain import Uncertain
 def as_wavefronts(session: Estimate) -> tuple[Wavefront, ...]:
     """Convert every fit to a result. Members get the values estimated from the whole session."""
     wavefronts = []
+    pulls = {} if session.lens is None else pulls_of_tiles(session.lens)
     for k in range(len(session.fits)):
         wavefront = _with_bias(session, k)
         if k in session.members:
@@ -50,7 +52,13 @@ def as_wavefronts(session: Estimate) -> tuple[Wavefront, ...]:
         missing = () if test.explains else session.missing
         sign_open = k not in session.signed
         wavefronts.append(
-            replace(wavefront, test=test, missing=missing, sign_open=sign_open)
+            replace(
+                wavefront,
+                test=test,
+                missing=missing,
+                sign_open=sign_open,
+                pulls=pulls.get(wavefront.key),
+            )
         )
     return tuple(wavefronts)
 

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from labkit.optics.field import FieldModel
-from labkit.optics.wavefront import DEFOCUS
 from labkit.results import Results, Wavefront
 from labkit.types import Floats
 
@@ -25,8 +24,8 @@ class Tile:
     tile : (row, column)
     centre_px : (2,) row and column of its middle, the mean of all fits; nan without a fit
     fits, accepted : numbers of fits, and of accepted ones
-    pull : RMS of the differences of its modes from the field's, without defocus, over their
-        standard errors; near 1 where tile and model agree, nan without accepted fits
+    pull : RMS of the pulls of its fits, see `Wavefront.pulls`; near 1 where tile and model
+        agree, nan without accepted fits
     remarks : why it, or some of its fits, are left out
     """
 
@@ -74,7 +73,7 @@ def _tile(
     """Return a tile with its fits."""
     accepted = [fit for fit in fits if fit.accepted]
     middles = [middle for fit in fits if (middle := _middle_px(fit)) is not None]
-    pulls = [pull for fit in accepted for pull in _pulls(fit, model)]
+    pulls = [fit.pulls for fit in accepted if fit.pulls is not None]
     return Tile(
         tile,
         np.mean(middles, axis=0) if middles else np.full(2, np.nan),
@@ -90,22 +89,6 @@ def _middle_px(fit: Wavefront) -> Floats | None:
     if fit.placement is None:
         return None
     return np.array(fit.placement.centre_px)
-
-
-def _pulls(fit: Wavefront, model: FieldModel) -> list[float]:
-    """Return differences of a fit's modes from the field's over the fit's standard errors; none for an open sign."""
-    place = _middle_px(fit)
-    if place is None or fit.sign_open or fit.channel not in model.channels:
-        return []
-    field, covariance = model.modes(fit.channel, place)
-    return [
-        float(
-            (fit.waves[k] - field[at]) / np.sqrt(fit.covariance[k, k] + covariance[at, at])
-        )
-        for k, j in enumerate(fit.noll)
-        if j != DEFOCUS and j in model.noll
-        for at in [model.noll.index(j)]
-    ]
 
 
 def _remarks(results: Results) -> dict[Place, list[str]]:

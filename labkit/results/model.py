@@ -139,6 +139,7 @@ class Wavefront:
     which does not explain the data seems to lack; residual_spectrum: of what it leaves. spectrum: of the light, about its
     wavelength, as the plan states it or the photographs call for it. rim: of the pupil; f-number and modes are those of the
     circle with the full pupil's clear area, which a cat's eye cuts. tile: (row, column), None for the whole frame.
+    pulls: (modes,) of a tile's own fit less the prediction of all other tiles, over the standard errors; None without a field.
     sign_open: whether the `twin`, whose even modes have the other sign, is as likely: from one range it always is.
 
     >>> w = labkit.Results.load("night-3")[3200, "G"]
@@ -171,6 +172,7 @@ class Wavefront:
     placement: Placement | None = None
     residuals: Residuals | None = field(default=None, repr=False)
     tile: tuple[int, int] | None = None
+    pulls: Floats | None = field(default=None, repr=False)
     sign_open: bool = False
     widest_light_nm: float = 0.0
 

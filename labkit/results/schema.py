@@ -223,6 +223,7 @@ class WavefrontEntry(Entry):
     origin_px: tuple[Place, Place] = (0, 0)
     shape_px: tuple[Size, Size] | None = None
     tile: Any = None
+    pulls: Annotated[Floats, array(tuple[Maybe, ...], 3)] | None = None
     centre_px: Any = None
     corners_px: (
         Annotated[Floats, array(Annotated[tuple[Corners, ...], Field(min_length=1)])] | None

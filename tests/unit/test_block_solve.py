@@ -9,6 +9,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from labkit.estimation.block_solve import Data, Normal, Point, solve
+from labkit.estimation.held_out import pulls_of_tiles
 from labkit.estimation.laws import FOCUS, MAGNIFICATION
 from labkit.estimation.lens_fit import LensFit, Measurements, first_point, fit_lens
 from labkit.estimation.lens_model import LensModel
@@ -245,3 +246,22 @@ def test_an_estimate_does_not_depend_on_where_it_starts() -> None:
         max(np.abs((end.point.theta - ends[1].point.theta) / std).max() for end in ends)
         < 1e-4
     )
+
+
+def test_a_tile_held_out_is_predicted_as_by_a_fit_without_it() -> None:
+    model, measured = sampled(((0, 0), (0, 1), (1, 1), (1, 0)))
+    lens = fit_lens(model, measured)
+    pulls = pulls_of_tiles(lens)
+    assert len(pulls) == np.count_nonzero(measured.used)
+    rows = [k for k, one in enumerate(model.readings) if one.key.tile == (1, 1)]
+    used = measured.used & ~np.isin(np.arange(len(model.readings)), rows)
+    others = fit_lens(model, replace(measured, used=used), lens.solved.point)
+    predicted, covariance = others.predictions
+    for k in rows:
+        # predictions include the scatter of the laws, the observation's noise is added
+        std = np.sqrt(np.diag(covariance[k] + measured.covariance[k]))
+        wanted = (measured.values[k] - predicted[k]) / std / lens.birge_ratio
+        # the estimate moves along curves, which the closed form takes as straight
+        np.testing.assert_allclose(
+            pulls[model.readings[k].key], wanted[: len(model.noll)], atol=0.02
+        )

@@ -73,8 +73,11 @@ from labkit.report.field.tables import (
 from labkit.report.field.tile_charts import (
     TileSight,
     fit_quality_chart,
+    held_out_map,
+    held_out_pulls,
     place_pulls_chart,
     place_pulls_map,
+    pulls_chart,
     tile_sight,
     tiles_chart,
 )
@@ -405,6 +408,17 @@ class FieldArtist:
             drawing("field_chi2", fit_quality_chart(frame, fits, title), of),
         ]
         yield Plate("field_tiles", panels)
+        if pulls := held_out_pulls(self.results):
+            rms = float(np.sqrt(np.mean(np.concatenate([*pulls.values()]) ** 2)))
+            quantiles = pulls_chart("tiles held out", pulls, self.inks)
+            over_frame = held_out_map(self.results, frame, sight)
+            yield Plate(
+                "field_held_out",
+                [
+                    drawing("field_held_out", quantiles, {"rms": rms}),
+                    drawing("field_held_out_map", over_frame, {"rms": rms}),
+                ],
+            )
         if (geometry := self.geometry) is not None:
             quantiles = place_pulls_chart(geometry, self.inks)
             over_frame = place_pulls_map(geometry, sight)

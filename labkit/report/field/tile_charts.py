@@ -146,16 +146,13 @@ def fit_quality_chart(frame: FieldFrame, fits: Sequence[Wavefront], title: str) 
     return tile_map(frame, places_px, chi2, flagged, title, "χ² per pixel")
 
 
-def place_pulls_chart(geometry: FieldGeometry, inks: Mapping[str, Ink]) -> Figure:
-    """Draw quantiles of the tiles' places less the model's, over their errors, against normal ones, with a 99 % band."""
+def pulls_chart(title: str, pulls: Mapping[str, Floats], inks: Mapping[str, Ink]) -> Figure:
+    """Draw quantiles of each channel's pulls against normal ones, with a 99 % band."""
     figure, axes = chart(HALF_IN, 3.2)
-    axes.set_title("places of the tiles")
+    axes.set_title(title)
     axes.axline((0, 0), slope=1, color=SOFT_INK, lw=0.8)
-    channels = np.array([place.key.channel for place in geometry.model.places])
-    every = geometry.pulls
-    for k, channel in enumerate(geometry.model.channels):
-        pulls = every[(channels == channel) & ~geometry.fit.apart]
-        normal, low, high, observed = normal_quantiles(pulls.ravel())
+    for k, (channel, every) in enumerate(pulls.items()):
+        normal, low, high, observed = normal_quantiles(every.ravel())
         if k == 0:
             axes.fill_between(normal, low, high, color=FAINT, lw=0)
         ink = inks[channel]
@@ -165,6 +162,38 @@ def place_pulls_chart(geometry: FieldGeometry, inks: Mapping[str, Ink]) -> Figur
     axes.set(xlabel="normal quantile, σ", ylabel="quantile of the pulls, σ")
     axes.legend(loc="upper left", handletextpad=0.2)
     return figure
+
+
+def place_pulls_chart(geometry: FieldGeometry, inks: Mapping[str, Ink]) -> Figure:
+    """Draw quantiles of the tiles' places less the model's, over their errors."""
+    channels = np.array([place.key.channel for place in geometry.model.places])
+    pulls = {
+        channel: geometry.pulls[(channels == channel) & ~geometry.fit.apart]
+        for channel in geometry.model.channels
+    }
+    return pulls_chart("places of the tiles", pulls, inks)
+
+
+def held_out_pulls(results: Results) -> dict[str, Floats]:
+    """Return the pulls (fits, modes) of tiles that are held out, by channel; without channels that have none."""
+    every = {
+        channel: [w.pulls for w in results.of_channel(channel) if w.pulls is not None]
+        for channel in results.channels
+    }
+    return {channel: np.array(pulls) for channel, pulls in every.items() if pulls}
+
+
+def held_out_map(results: Results, frame: FieldFrame, sight: TileSight) -> Figure:
+    """Draw the RMS of each tile's pulls over all ranges and channels; flagged: tiles with a doubtful fit."""
+    squares: dict[Tile, list[float]] = {tile: [] for tile in sight.fits}
+    for wavefront in results:
+        if wavefront.tile in squares and wavefront.pulls is not None:
+            squares[wavefront.tile].append(float(np.mean(wavefront.pulls**2)))
+    rms = np.array([np.mean(of) ** 0.5 if of else np.nan for of in squares.values()])
+    flagged = [tile in sight.doubtful for tile in squares]
+    places_px = np.array([mean_place_px([sight.fits[tile]]) for tile in squares])
+    title, unit = "pulls of tiles held out", "σ RMS"
+    return tile_map(frame, places_px, rms, flagged, title, unit)
 
 
 def place_pulls_map(geometry: FieldGeometry, sight: TileSight) -> Figure:
