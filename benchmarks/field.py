@@ -1,7 +1,7 @@
 """Selecting and solving a field: `python -m benchmarks.field`, 1,000 tiles at three ranges in three colours, 5 % of them wrong.
 
-Each tile has a focus and modes of its own, by the laws that tests hold the estimate to; a wrong fit departs by 0.05 waves
-and more in each mode, and half of all fits are given as their twins.
+Defocus and modes of a tile are polynomials of second degree in its place, and follow the laws that tests hold the estimate
+to; a wrong fit departs by 0.05 waves and more in each mode, and half of all fits are given as their twins.
 """
 
 from __future__ import annotations
@@ -16,7 +16,16 @@ from labkit.estimation.candidate import Candidate, Observed
 from labkit.estimation.select import select
 from labkit.execute import pin_threads
 from labkit.key import Key
-from tests.lens_samples import COLOURS, laws, measured, moved, reading, stated, turned
+from tests.lens_samples import (
+    COLOURS,
+    laws,
+    measured,
+    moved,
+    over_the_field,
+    reading,
+    stated,
+    turned,
+)
 
 TILES = (25, 40)
 RANGES_MM = (2000.0, 2080.0, 2160.0)
@@ -28,17 +37,18 @@ def drawn_field(rng: np.random.Generator) -> tuple[list[Observed], set[Key]]:
     """Draw the observations, and the keys of the wrong ones: two of a tile's three ranges are right."""
     every, wrong = list[Observed](), set[Key]()
     for tile in np.ndindex(*TILES):
-        focus_mm = 2060.0 + rng.normal(0, 20.0)
-        modes = dict(zip(MODES, rng.normal(0, 0.05, len(MODES)).tolist(), strict=True))
+        place = reading(RANGES_MM[0], "G", tile, TILES).place
+        modes = over_the_field(np.random.default_rng(3), (4, *MODES), place)
+        defocus = modes.pop(4)
         for channel in COLOURS:
             off = int(rng.integers(3)) if rng.random() < 3 * WRONG_SHARE else None
             for k, range_mm in enumerate(RANGES_MM):
-                of = measured(
-                    np.array(laws(range_mm, focus_mm, 2060.0, 70.0, 2.8, 0.985)), modes
-                )
+                lens = np.array(laws(range_mm, 2060.0, 2060.0, 70.0, 2.8, 0.985))
+                lens[0] += defocus
+                of = measured(lens, modes)
                 values = rng.multivariate_normal(of.values, of.covariance)
                 one = Observed(
-                    reading(range_mm, channel, tile),
+                    reading(range_mm, channel, tile, TILES),
                     (Candidate(replace(of, values=values)),),
                 )
                 if k == off:

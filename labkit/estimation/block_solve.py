@@ -176,14 +176,17 @@ class LeastSquares(Position):
     def normal(self) -> Normal:
         """Normal equations, the priors' information included."""
         model = self.model
-        turned = self.own_slopes.transpose(0, 2, 1)
         weighted = self.data.precision @ self.slopes
+        own_weighted = self.data.precision @ self.own_slopes
+        members = [model.blocks == block for block in range(model.blocks.max() + 1)]
+
+        def summed(rows: Floats, other: Floats) -> Floats:
+            return np.array([_product(rows[at], other[at]) for at in members])
+
         return Normal(
-            np.tensordot(self.slopes, weighted, ([0, 1], [0, 1]))
-            + np.diag(model.prior_std**-2.0),
-            model.by_block(turned @ weighted).transpose(0, 2, 1),
-            model.by_block(turned @ (self.data.precision @ self.own_slopes))
-            + np.diag(model.local_std**-2.0),
+            _product(self.slopes, weighted) + np.diag(model.prior_std**-2.0),
+            summed(weighted, self.own_slopes),
+            summed(self.own_slopes, own_weighted) + np.diag(model.local_std**-2.0),
         )
 
     def pulls(self, shifts: Floats) -> tuple[Floats, Floats]:
@@ -221,6 +224,11 @@ def solve(
     The first step is damped by 1e-9 only, for the weakest combinations have 1e-9 of the others' information.
     """
     return climb(LeastSquares(model, data, start), tolerance=tolerance, damping=1e-9)[0]
+
+
+def _product(rows: Floats, other: Floats) -> Floats:
+    """Return the sum of products (a, b) of rows (n, values, a) and (n, values, b)."""
+    return np.asarray(np.tensordot(rows, other, ([0, 1], [0, 1])))
 
 
 def _grown(matrix: Floats, damping: float) -> Floats:

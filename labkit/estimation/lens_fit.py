@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from labkit.estimation.block_solve import Data, LeastSquares, Point, quadratic, solve
-from labkit.estimation.field_terms import Family, change, spreads
+from labkit.estimation.field_terms import Family, spreads
 from labkit.estimation.laws import (
     AXIAL_COLOUR,
     FOCUS,
@@ -317,7 +317,8 @@ class LensFit:
         noise = (self.measured.covariance + np.diag(self.model.scatter()))[
             self.measured.used
         ]
-        prior = np.sum(np.log(self.model.prior_std))
+        own = len(self.solved.point.own) * np.sum(np.log(self.model.local_std))
+        prior = np.sum(np.log(self.model.prior_std)) + own
         log_noise = float(np.linalg.slogdet(noise)[1].sum())
         return -0.5 * (
             self.chi2 + log_noise + self.solved.normal.log_determinant()
@@ -362,16 +363,15 @@ def fit_field(
 ) -> LensFit:
     """Estimate the session's parameters, and with them the standard deviations of the field's terms.
 
-    These maximise the marginal likelihood, by expectation maximisation; sessions without tiles have none.
+    These maximise the marginal likelihood; sessions without tiles have none.
     """
     lens = fit_lens(model, measured, start)
-    if not lens.model.field_order:
-        return lens
-    for _ in range(SETTINGS.most_steps):
-        before, after = lens.model.field_spread, lens.field_spread()
-        if change(before, after) < SETTINGS.field_change:
+    for _ in range(SETTINGS.most_steps if model.field_order else 0):
+        spread = lens.field_spread()
+        changed = fit_lens(replace(model, field_spread=spread), measured, lens.solved.point)
+        if changed.log_evidence < lens.log_evidence + SETTINGS.same_optimum:
             break
-        lens = fit_lens(replace(model, field_spread=after), measured, lens.solved.point)
+        lens = changed
     return lens
 
 

@@ -111,8 +111,6 @@ class Settings:
     0.025 waves of 0.9 (`docs/decisions.md`)."""
     field_waves: float = 0.3
     """Standard deviation of a mode's change over the field before the session: fast lenses have as much at the corners."""
-    field_change: float = 0.1
-    """Relative change of every standard deviation of the field's terms at which they are taken as found."""
     unknown: float = 10.0
     """Prior standard error of an unknown mode or part's number, in its own unit."""
     loose: float = 0.1
