@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     from labkit.edges.measurement import measure_edges
     from labkit.errors import LabkitError
     from labkit.experiments.runner import run_study
+    from labkit.field.summary import summarise_field
+    from labkit.field.turned import check_screw_move, split_fields
     from labkit.imaging.optics import Optics
     from labkit.noise.measure import measure_noise
     from labkit.plan import Plan
@@ -74,6 +76,9 @@ _PLACES = {
     "list_connected": "devices.inventory",
     "list_sessions": "catalogue.sessions",
     "measure_chart": "charts.measurement",
+    "summarise_field": "field.summary",
+    "check_screw_move": "field.turned",
+    "split_fields": "field.turned",
     "measure_edges": "edges.measurement",
     "measure_noise": "noise.measure",
     "measure_tone": "calibration.tone_wedge",
@@ -105,6 +110,7 @@ __all__ = [
     "camera_settings",
     "capture",
     "check_camera",
+    "check_screw_move",
     "compare_sessions",
     "draft_plan",
     "fit",
@@ -126,6 +132,8 @@ __all__ = [
     "run_demo",
     "run_study",
     "serve_target",
+    "split_fields",
+    "summarise_field",
     "verify",
     "watch_focus",
     "write_report",

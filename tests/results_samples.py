@@ -172,7 +172,7 @@ def full_results() -> Results:
                 test=test,
                 spectrum=BROAD,
                 rim=CUT,
-                tile=(1, 1),
+                tile=(0, 1),
                 pulls=np.array([-0.5, 0.0, 1.0]),
             ),
         ),

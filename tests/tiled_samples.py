@@ -104,7 +104,7 @@ def a_tile(
         waves=waves,
         covariance=fitted.covariance,
         poses=np.zeros((1, 8)),
-        placement=Placement((10, 20), (24, 30), corners[np.newaxis]),
+        placement=Placement((0, 0), (4000, 6000), corners[np.newaxis]),
         **{"residuals": None, **changed},
     )
 

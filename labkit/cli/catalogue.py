@@ -32,7 +32,7 @@ HISTORY_MODES = (5, 6, 7, 8, 11)
 
 @app.command("list")
 def list_(ctx: typer.Context, folder: Sessions = Path()) -> None:
-    """List the sessions in a folder: lens, camera, best focus. Brings catalogue.sqlite in it up to date."""
+    """List the sessions in a folder. Lens, camera, best focus; brings catalogue.sqlite in it up to date."""
     from labkit.catalogue.sessions import list_sessions
 
     console: Console = ctx.obj
@@ -153,7 +153,7 @@ def compare(
         ),
     ] = None,
 ) -> None:
-    """Compare sessions: one lens or not? Differences with standard errors, and the probability of one lens."""
+    """Say whether sessions are of one lens. Differences with standard errors, and the probability of one lens."""
     for session in sessions:
         a_session(session)
     from labkit.catalogue.sessions import compare_sessions
@@ -203,7 +203,7 @@ def _written(folder: Path, pair: Comparison) -> Path:
 
 @catalogue_app.command()
 def rebuild(ctx: typer.Context, folder: Sessions = Path()) -> None:
-    """Make the catalogue anew, from the sessions in a folder."""
+    """Make the catalogue of a folder anew."""
     from labkit.catalogue.sessions import rebuild_catalogue
 
     console: Console = ctx.obj

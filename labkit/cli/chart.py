@@ -66,7 +66,7 @@ def chart(
     out: Out = None,
     workers: Workers = None,
 ) -> None:
-    """Measure a lens over the frame from a chart: MTF, sagittal and tangential, and focus, by edges of squares."""
+    """Measure a lens over the frame by a chart. MTF, sagittal and tangential, and focus, by the edges of squares."""
     a_file_or_plan(*images)
     from labkit.charts.measurement import measure_chart
     from labkit.plan import Plan

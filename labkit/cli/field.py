@@ -41,12 +41,12 @@ def show(
     """Show the lens over the frame. Tilt, curvature, coma, MTF, distortion, lateral colour, screws, tiles, limits."""
     a_session(session)
     from labkit.field import tables
-    from labkit.field.summary import summarise
+    from labkit.field.summary import summarise_field
     from labkit.files import write_atomically
     from labkit.results import Results
 
     console: Console = ctx.obj
-    summary = summarise(Results.load(session, name), channel)
+    summary = summarise_field(Results.load(session, name), channel)
     console.warn(*summary.notes)
     console.say(tables.headline(summary))
     if summary.camera_tilt is not None:

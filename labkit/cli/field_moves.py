@@ -64,7 +64,7 @@ def check_move(
     for session in (before, after):
         a_session(session)
     a_plan(plan)
-    from labkit.field.turned import checked_move
+    from labkit.field.turned import check_screw_move
     from labkit.plan import Plan
     from labkit.results import Results
 
@@ -72,7 +72,7 @@ def check_move(
     both = [Results.load(one, name, residuals=False) for one in (before, after)]
     screws = Plan.load(plan) if plan is not None else both[1].plan
     fields = [_field(results) for results in both]
-    move = checked_move(fields[0], fields[1], screws, screw, turn, channel)
+    move = check_screw_move(fields[0], fields[1], screws, screw, turn, channel)
     measured = move.measured
     console.table(
         [
@@ -108,7 +108,7 @@ def split(
     channel: Channel = None,
     name: ResultsName = "latest",
 ) -> None:
-    """Tell a misaligned camera from a misaligned lens. Compares sessions with the lens turned by known angles."""
+    """Tell a tilted camera from a tilted lens. Compares sessions with the lens turned by known angles."""
     for session in sessions:
         a_session(session)
     angles = _angles(turned)

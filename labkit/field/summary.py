@@ -1,6 +1,6 @@
 """Gather all that a lens tester reads from a session's field: terms, curves, points, limits and tiles.
 
->>> summary = summarise(Results.load("night-3"))
+>>> summary = summarise_field(Results.load("night-3"))
 >>> print(summary.terms["G"].tilt.over_frame)
 """
 
@@ -129,7 +129,7 @@ class FieldSummary:
         }
 
 
-def summarise(results: Results, channel: str | None = None) -> FieldSummary:
+def summarise_field(results: Results, channel: str | None = None) -> FieldSummary:
     """Return what a lens tester reads from a session's field.
 
     channel : of points, curves and limits; by default green, or the first
@@ -138,6 +138,8 @@ def summarise(results: Results, channel: str | None = None) -> FieldSummary:
     ------
     DataError
         the results have no field, or no such channel
+
+    >>> print(labkit.summarise_field(labkit.Results.load("night-3")).terms["G"].tilt.slope)
     """
     model = results.field
     if model is None:

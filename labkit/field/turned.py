@@ -34,7 +34,7 @@ def planned_screws(plan: Plan) -> Screws:
     return Screws(mount.screws_mm, mount.screw_pitch_mm, mount.clockwise)
 
 
-def checked_move(
+def check_screw_move(
     before: FieldModel,
     after: FieldModel,
     plan: Plan,
@@ -55,6 +55,8 @@ def checked_move(
     Raises
     ------
     InputError : no screws, no such screw or channel, or no turn
+
+    >>> labkit.check_screw_move(before.field, after.field, before.plan, screw=1, turn_deg=90)
     """
     screws = planned_screws(plan)
     tilts = [_terms(model, channel).tilt.slope for model in (before, after)]
@@ -82,6 +84,8 @@ def split_fields(
     Raises
     ------
     InputError : angles that split nothing, waves of different wavelengths, or no such channel
+
+    >>> labkit.split_fields([upright.field, turned.field], [0, 180])["tilt"].lens
     """
     try:
         check_angles(len(models), turned_deg)

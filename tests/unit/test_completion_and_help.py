@@ -77,6 +77,7 @@ def commands(command: Any, path: str = "") -> Iterator[tuple[str, Any]]:
         yield from commands(inner, f"{path} {name}")
 
 
+load_commands()
 EVERY = dict(commands(typer.main.get_command(app)))
 
 
@@ -96,7 +97,9 @@ def test_every_option_with_a_value_shows_its_default(
     run([*path.split(), "--help"])
     shown = " ".join(capfd.readouterr().out.split())
     options = [
-        p for p in EVERY[path].params if p.param_type_name == "option" and not p.is_flag
+        p
+        for p in EVERY[path].params
+        if p.param_type_name == "option" and not (p.is_flag or p.required)
     ]
     without = []
     for option in options:

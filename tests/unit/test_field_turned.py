@@ -11,7 +11,7 @@ import pytest
 from labkit.cli import run
 from labkit.errors import DataError, InputError
 from labkit.field.terms import lens_terms
-from labkit.field.turned import checked_move, split_fields
+from labkit.field.turned import check_screw_move, split_fields
 from labkit.optics.field import FieldModel
 from labkit.plan import Plan
 from labkit.types import Floats
@@ -71,7 +71,7 @@ def test_a_screw_turned_by_20_degrees_proves_its_way(sign: int, way: str) -> Non
     """28 µm at 45 mm from the line through the other screws."""
     change = sign * 1e3 * 0.5 * 20 / 360 / 45 / um_per_square()
     before, after = turned_field(0), turned_field(0, down=0.3 + change)
-    move = checked_move(before, after, a_plan(mount=SCREWS), 1, 20.0)
+    move = check_screw_move(before, after, a_plan(mount=SCREWS), 1, 20.0)
     assert move.clockwise == way
     assert move.factor.value == pytest.approx(sign)
     assert move.factor.std < 0.05
@@ -93,9 +93,9 @@ def test_sessions_that_do_not_compare_are_refused() -> None:
         split_fields(fields, (0, 180), "X")
     plan = a_plan(mount=SCREWS)
     with pytest.raises(InputError, match="screw 4: allowed is 1 to 3"):
-        checked_move(fields[0], fields[1], plan, 4, 30.0)
+        check_screw_move(fields[0], fields[1], plan, 4, 30.0)
     with pytest.raises(InputError, match=r"no mount\.screws_mm"):
-        checked_move(fields[0], fields[1], a_plan(), 1, 30.0)
+        check_screw_move(fields[0], fields[1], a_plan(), 1, 30.0)
 
 
 @pytest.fixture

@@ -35,7 +35,7 @@ def tiles(slopes: Floats, rng: np.random.Generator) -> list[Wavefront]:
     fits = []
     for place in field.observed(places, numbers, 0.001, rng):
         station = field.RANGES_MM.index(place.key.range_mm or 0.0)
-        placement = Placement((0, 0), (9, 9), place.corners_px[None])
+        placement = Placement((0, 0), (512, 768), place.corners_px[None])
         height = field.FRAME.heights_mm(placement.centre_px)
         waves, _ = model.modes("G", placement.centre_px)
         bowl = model.waves[0, 1:3, 0] * 2 / field.FRAME.radius_mm
