@@ -197,7 +197,7 @@ MEANINGS = {
     "field.f_number": "Working f-number in the middle of the frame.",
     "field.f_number_std": "Its standard error.",
     "field.wavelengths_nm": "Wavelength of each channel:",
-    "field.wavelengths_nm.NAME": "One channel's, nm.",
+    "field.wavelengths_nm.G": "One channel's, nm.",
     "field.terms": "Terms of the double Zernike expansion, of every channel, field and pupil in turn:",
     "field.terms[].field": "Noll's number of the polynomial in the place on the sensor.",
     "field.terms[].pupil": "Noll's number of the mode in the pupil.",
