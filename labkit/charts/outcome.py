@@ -123,9 +123,10 @@ class ChartPlace:
         }
 
     def known(self, kind: str) -> bool:
-        """Return whether the edges determine S or T: on a diagonal, edges at 45° do not."""
+        """Return whether the edges determine S or T: on a diagonal, edges at 45° do not, whatever the fit's error."""
         of = self.responses[kind]
-        return float(of.std.max()) < UNKNOWN_MTF
+        along = any(edge.kind in (kind, "C") for edge in self.edges)
+        return along and float(of.std.max()) < UNKNOWN_MTF
 
     def as_json(self) -> dict[str, Any]:
         """Return an entry of "places"."""
