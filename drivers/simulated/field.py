@@ -79,7 +79,7 @@ class FieldTerms:
 
     @property
     def varies(self) -> bool:
-        """Whether the PSF changes over the frame."""
+        """Return whether the PSF changes over the frame."""
         return (
             replace(
                 self,

@@ -281,7 +281,7 @@ class BenchSettings:
 
     @property
     def varies(self) -> bool:
-        """Whether the PSF changes over the frame."""
+        """Return whether the PSF changes over the frame."""
         return self.lens.field_terms.varies or self.grid.shape != (1, 1)
 
 

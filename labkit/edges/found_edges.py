@@ -62,7 +62,7 @@ class FoundEdge:
 
     @property
     def cut(self) -> bool:
-        """Whether the border of the picture cuts a side, so that the brighter side is unknown."""
+        """Return whether the border of the picture cuts a side, so that the brighter side is unknown."""
         return bool(np.isnan(self.angle))
 
     def apart(self, other: FoundEdge) -> bool:

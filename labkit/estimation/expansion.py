@@ -1,4 +1,4 @@
-"""Free the working f-number of a fit, and summarise_field the likelihood about its optimum as a Gaussian measurement.
+"""Free the working f-number of a fit, and summarise the likelihood about its optimum as a Gaussian measurement.
 
 Engraved f-numbers are right to some 3 %, and defocus depends on the f-number. Newton's steps move the optimum of a wavefront
 to the f-number and the camera parameters that the frames favour. The measurement holds modes, camera parameters, ln of the

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from labkit.estimation.observation import Observation
+from labkit.plan import leading_channel
 
 
 def anchors(observations: Sequence[Observation], places: Sequence[int]) -> list[int]:
@@ -15,7 +16,7 @@ def anchors(observations: Sequence[Observation], places: Sequence[int]) -> list[
     Of tiles, the one nearest to the middle of the frame.
     """
     channels = [observations[k].channel for k in places]
-    first = "G" if "G" in channels else channels[0]
+    first = leading_channel(channels)
     of = [k for k in places if observations[k].channel == first]
     inner = observations[min(of, key=lambda k: np.hypot(*observations[k].place))].tile
     of = [k for k in of if observations[k].tile == inner]

@@ -16,7 +16,7 @@ from labkit.estimation.expansion import Freed, Opened, camera_prior, wide_enough
 from labkit.estimation.identifiability import inverse
 
 HELD_STEPS = 2
-"""Of pose, light and noise: from an optimum a hundredth of a wave away, the second is a hundredth of the first."""
+"""Newton's steps of pose, light and noise; they begin at an optimum of the same photographs."""
 
 
 def expanded_about(problem: Problem, start: Start, f_number_std: float) -> Freed:

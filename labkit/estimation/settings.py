@@ -108,7 +108,7 @@ class Settings:
     """Difference of modes between a colour and all colours: light passes the same glass."""
     field_order: int = 4
     """Largest radial order of the field's expansion that is tried unless the plan states one: a commercial lens's modes leave
-    0.025 waves of 0.9 (`docs/decisions.md`)."""
+    0.025 of 0.9 waves RMS beyond a polynomial of that degree."""
     field_waves: float = 0.3
     """Standard deviation of a mode's change over the field before the session: fast lenses have as much at the corners."""
     unknown: float = 10.0

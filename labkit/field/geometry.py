@@ -99,7 +99,7 @@ class Bend:
 
 @dataclass(frozen=True, eq=False)
 class FieldGeometry:
-    """Where the lens puts the target's tiles.
+    """The target's tiles as the lens images them.
 
     Parameters
     ----------

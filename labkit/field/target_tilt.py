@@ -130,7 +130,7 @@ class SeparatedTilt:
 
     @property
     def perspective_contradicted(self) -> bool:
-        """Whether the perspective is not the target's tilt, so that its share was estimated."""
+        """Return whether the perspective is not the target's tilt, so that its share was estimated."""
         return self.p_value < CONTRADICTED_P
 
 

@@ -224,7 +224,7 @@ def swept(picture: Singles, target: Target, mm_per_pixel: float | None) -> Itera
 
 
 def believable(agreement: Agreement) -> bool:
-    """Whether a picture agrees with the target everywhere."""
+    """Return whether a picture agrees with the target everywhere."""
     return (
         min(agreement.whole, agreement.median_part, 2 * agreement.least_part)
         >= LEAST_AGREEMENT

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from labkit.arrays import real_array
 from labkit.optics.lens import blur_per_wave_um
 from labkit.optics.wavefront import DEFOCUS, FittedWavefront, modes_at
+from labkit.plan import leading_channel
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
@@ -179,7 +180,7 @@ class FieldModel:
     @property
     def leading(self) -> str:
         """The channel whose focal surface stands for all: green if present, else the first."""
-        return "G" if "G" in self.channels else self.channels[0]
+        return leading_channel(self.channels)
 
     @property
     def sensor_tilt(self) -> tuple[Floats, Floats]:

@@ -124,7 +124,7 @@ class FieldArtist:
         """The slope of focus that screws change: the camera's, or that of the leading channel's focal surface."""
         camera = self.camera_tilt
         if camera is not None:
-            return Pair(camera.value, camera.covariance, "um/mm")
+            return camera.slope
         (lead,) = (t for t in self.terms if t.channel == self.lead)
         return lead.tilt.slope
 
