@@ -76,6 +76,7 @@ class _Loop:
     parts : camera parts and groups of modes in the model that the plan does not state
     anchors : observations that were searched from nothing
     starts : predictions from which each observation was climbed
+    expanded : observations whose likelihood was expanded about a prediction, with the parts in the model then
     deep : whether a search without limit was made
     first : optimum of each observation's first fit
     refits : refits from the present optima, with other parts and modes
@@ -88,6 +89,7 @@ class _Loop:
     parts: Parts = field(default_factory=Parts)
     anchors: list[int] = field(default_factory=list)
     starts: dict[int, list[Floats]] = field(default_factory=dict)
+    expanded: set[tuple[int, Parts]] = field(default_factory=set)
     deep: bool = False
     first: dict[int, Optimum] = field(default_factory=dict)
     _selected: tuple[dict[int, Found], Selection | None] | None = None
@@ -249,7 +251,7 @@ class _Loop:
                 continue
             if self._new(k, waves):
                 doubted[k] = self._guess(starts=(waves,), poses=self._known_poses(k))
-            elif not any(one.held for one in self.found[k].optima):
+            elif (k, self.parts) not in self.expanded:
                 state = replace(self.chosen(k).state, waves=waves)
                 doubted[k] = replace(self._guess(), state=state, held=True)
         return doubted
@@ -308,6 +310,8 @@ class _Loop:
             self.found[k] = self.found[k].joined(found) if k in self.found else found
         for k, guess in guesses.items():
             self.starts.setdefault(k, []).extend(guess.starts)
+            if guess.held:
+                self.expanded.add((k, self.parts))
             self.deep |= guess.deep
 
     def _optics(self, k: int, selection: Selection | None) -> Optics:

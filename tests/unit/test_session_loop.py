@@ -212,7 +212,9 @@ def test_a_fit_that_began_from_the_prediction_and_ended_elsewhere_does_not_belon
 
     play = Play(ends)
     session = played(play)
-    assert len(play.batches) == 2
+    expanded = [[task.guesses.held for task in batch] for batch in play.batches]
+    assert expanded[2:] == [[True]]
+    assert not any(expanded[0] + expanded[1])
     assert session.outliers == (1,)
     assert session.refitted_members == ()
     assert session.lens is not None
