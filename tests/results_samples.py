@@ -23,6 +23,7 @@ from labkit.results import (
     Wavefront,
 )
 from labkit.results.common import CommonNumbers, StatedNumber
+from labkit.results.geometry import Distortion, ImageGeometry, LateralColour
 from labkit.results.made_from import MadeFrom
 from labkit.results.model import OtherOptimum, PartTried, ResidualSpectrum
 from labkit.uncertain import Uncertain
@@ -148,6 +149,17 @@ COMMON = CommonNumbers(
 )
 
 
+GEOMETRY = ImageGeometry(
+    Distortion(
+        Uncertain(9e-4, 1e-6, "/mm²"),
+        Uncertain(-2e-6, 1e-7, "/mm⁴"),
+        (np.array([255.0, 384.5]), np.diag([0.09, 0.04])),
+        0.006,
+    ),
+    {"B": LateralColour(Uncertain(1.8e-4, 2e-6), np.array([0.02, -0.01]), np.eye(2) / 1e4)},
+)
+
+
 def full_results() -> Results:
     """Results that hold everything that results can hold."""
     others = (OtherOptimum(np.array([0.0751, 0.03, -0.04]), 120.0),)
@@ -184,6 +196,7 @@ def full_results() -> Results:
         ),
         common=COMMON,
         field=a_field(frame=FieldFrame((512, 768), PLAN.sensor.pixel_pitch_um)),
+        geometry=GEOMETRY,
         joint={"focal_length_mm": 0.1},
         made_from=MadeFrom("0" * 64, "1" * 64, ranges_mm=(3000.0,), patience_s=120.0),
         model_parts={

@@ -36,6 +36,7 @@ def _keys(where: str, value: Any) -> Iterator[str]:
 
 
 NAMED = {
+    "field.lateral_colour.",
     "focus.best_focus_mm.",
     "focus.residual_waves.",
     "focus.residual_std_waves.",

@@ -216,6 +216,29 @@ MEANINGS = {
     ),
     "field.curvature_per_mm.value": "Value, mm per mm².",
     "field.curvature_per_mm.std": "Standard error.",
+    "field.distortion": (
+        "Radial distortion by the places of the tiles of a grid, r (1 + k1 r² + k2 r⁴); null for other tiles:"
+    ),
+    "field.distortion.k1_per_mm2": "Growth of the image for each mm² of image height squared:",
+    "field.distortion.k1_per_mm2.value": "Value, 1/mm².",
+    "field.distortion.k1_per_mm2.std": "Standard error.",
+    "field.distortion.k2_per_mm4": "The same of fifth order, where the places ask for it:",
+    "field.distortion.k2_per_mm4.value": "Value, 1/mm⁴.",
+    "field.distortion.k2_per_mm4.std": "Standard error.",
+    "field.distortion.centre_px": "Centre of the distortion, where k1 is three errors from zero:",
+    "field.distortion.centre_px.value": "Row and column in the photograph, pixels.",
+    "field.distortion.centre_px.covariance": "Their covariance.",
+    "field.distortion.residual_px": "RMS of the coordinates of the tiles' middles about the model, pixels.",
+    "field.lateral_colour": (
+        "Lateral colour of each channel but the reference, which is G or the first channel; null without distortion:"
+    ),
+    "field.lateral_colour.NAME": "One channel's:",
+    "field.lateral_colour.NAME.scale": "Size of the image over that of the reference, less 1:",
+    "field.lateral_colour.NAME.scale.value": "Value.",
+    "field.lateral_colour.NAME.scale.std": "Standard error.",
+    "field.lateral_colour.NAME.shift_um": "Shift of the image in the middle of the frame, down and to the right:",
+    "field.lateral_colour.NAME.shift_um.value": "Down the rows and along the columns, µm on the sensor.",
+    "field.lateral_colour.NAME.shift_um.covariance": "Their covariance.",
     "common": (
         "Numbers of the lens that all ranges share, for `labkit compare`, with their joint covariance; null without a lens:"
     ),

@@ -37,6 +37,7 @@ from labkit.estimation.searches import fit_task
 from labkit.estimation.session import estimate
 from labkit.estimation.split import Change, find_change
 from labkit.execute import Executed, Run, Workers, default_workers
+from labkit.field.session_geometry import session_geometry
 from labkit.files import is_full
 from labkit.findings import (
     Finding,
@@ -296,7 +297,7 @@ def _results(
     findings = [*noted, *findings_of(fits, wavefronts, numbers, plan, made.patience_s)]
     focus = None if lens is None else as_focus(lens, turned_lenses(fits))
     wanted = wanted and any(w.range_mm is not None and w.defocus for w in wavefronts)
-    return Results(
+    results = Results(
         plan=plan,
         plan_sha256=checksum,
         wavefronts=wavefronts,
@@ -314,6 +315,8 @@ def _results(
         else None,
         made_from=made,
     )
+    geometry = session_geometry(results)
+    return replace(results, geometry=None if geometry is None else geometry.image)
 
 
 def _opened(

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import sqrt
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -40,6 +39,7 @@ from labkit.field.tile_places import CORNERS, TileGrid, TilePlace, affine_rows
 from labkit.key import Key
 from labkit.optics.field import FieldFrame
 from labkit.optics.lens import ThinLens
+from labkit.results.geometry import Distortion, ImageGeometry, LateralColour
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
@@ -51,32 +51,6 @@ SURE_ERRORS = 3.0
 
 UNKNOWN_SHARE = 0.5
 """Share of its prior standard deviation that the error of an undetermined number keeps."""
-
-
-@dataclass(frozen=True, eq=False)
-class LateralColour:
-    """A channel's image against the reference channel's: larger by `scale`, and shifted.
-
-    Parameters
-    ----------
-    scale : relative
-    shift_um : (2,) on the sensor in the middle of the frame, down and right
-    shift_covariance_um2 : (2, 2)
-    """
-
-    scale: Uncertain
-    shift_um: Floats
-    shift_covariance_um2: Floats
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the numbers with their errors."""
-        return {
-            "scale": self.scale.as_json(),
-            "shift_um": {
-                "value": self.shift_um.tolist(),
-                "covariance": self.shift_covariance_um2.tolist(),
-            },
-        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,22 +224,13 @@ class FieldGeometry:
             rows[:, k] = np.imag(of(moved)) / COMPLEX_STEP
         return value, rows @ self.fit.covariance @ rows.T
 
-    def as_json(self) -> dict[str, Any]:
-        """Return distortion and lateral colour as results.json keeps them."""
-        centre = self.centre_px
-        fifth = self.k2_per_mm4
-        distortion: dict[str, Any] = {"k1_per_mm2": self.k1_per_mm2.as_json()}
-        if fifth is not None:
-            distortion["k2_per_mm4"] = fifth.as_json()
-        if centre is not None:
-            value, covariance = (array.tolist() for array in centre)
-            distortion["centre_px"] = {"value": value, "covariance": covariance}
-        distortion["residual_px"] = self.residual_px
-        colours = self.lateral_colour.items()
-        return {
-            "distortion": distortion,
-            "lateral_colour": {name: colour.as_json() for name, colour in colours},
-        }
+    @property
+    def image(self) -> ImageGeometry:
+        """Distortion and lateral colour, as results keep them."""
+        distortion = Distortion(
+            self.k1_per_mm2, self.k2_per_mm4, self.centre_px, self.residual_px
+        )
+        return ImageGeometry(distortion, self.lateral_colour)
 
     def _places(
         self, moved: Callable[[Numbers], Numbers], count: int

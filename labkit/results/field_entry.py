@@ -9,10 +9,12 @@ import numpy as np
 from pydantic import Field
 
 from labkit.optics.field import FieldFrame, FieldModel
+from labkit.results.geometry import Distortion, ImageGeometry, LateralColour
 from labkit.results.kept import (
     Entry,
     Finite,
     FNumber,
+    Kept,
     Name,
     Nanometres,
     Noll,
@@ -20,8 +22,10 @@ from labkit.results.kept import (
     Size,
     StdNumber,
     array,
+    uncertain,
 )
 from labkit.types import Floats
+from labkit.uncertain import Uncertain
 
 
 class TermEntry(Entry):
@@ -42,8 +46,35 @@ class PairEntry(Entry):
     ]
 
 
+class DistortionEntry(Entry):
+    """Radial distortion."""
+
+    k1_per_mm2: Annotated[Uncertain, uncertain("/mm²")]
+    k2_per_mm4: Annotated[Uncertain, uncertain("/mm⁴")] | None = None
+    centre_px: PairEntry | None = None
+    residual_px: Finite
+
+
+def _distortion(entry: DistortionEntry) -> Distortion:
+    centre = entry.centre_px
+    place = None if centre is None else (centre.value, centre.covariance)
+    return entry.made(Distortion, centre_px=place)
+
+
+class LateralColourEntry(Entry):
+    """The image of a channel against the reference channel's."""
+
+    scale: Annotated[Uncertain, uncertain()]
+    shift_um: PairEntry
+
+
+def _lateral(entry: LateralColourEntry) -> LateralColour:
+    shift = entry.shift_um
+    return LateralColour(entry.scale, shift.value, shift.covariance)
+
+
 class FieldEntry(Entry):
-    """The wavefront over the field."""
+    """The wavefront over the field, and where the lens puts the image."""
 
     photograph_px: tuple[Size, Size]
     f_number: FNumber
@@ -52,9 +83,30 @@ class FieldEntry(Entry):
     terms: Annotated[tuple[TermEntry, ...], Field(min_length=1, max_length=100_000)]
     sensor_tilt_um_per_mm: PairEntry | None = None
     curvature_per_mm: NumberEntry | None = None
+    distortion: (
+        Annotated[Distortion, Kept(DistortionEntry, _distortion, Distortion.as_json)] | None
+    ) = None
+    lateral_colour: (
+        dict[
+            Name,
+            Annotated[
+                LateralColour, Kept(LateralColourEntry, _lateral, LateralColour.as_json)
+            ],
+        ]
+        | None
+    ) = None
+
+    @property
+    def geometry(self) -> ImageGeometry | None:
+        """Distortion and lateral colour; None where the tiles were no grid of equal targets."""
+        if self.distortion is None:
+            return None
+        return ImageGeometry(self.distortion, self.lateral_colour or {})
 
     @classmethod
-    def of_model(cls, field: FieldModel) -> FieldEntry:
+    def of_model(
+        cls, field: FieldModel, geometry: ImageGeometry | None = None
+    ) -> FieldEntry:
         """Return the entry of a field."""
         std = np.sqrt(np.diag(field.covariance)).reshape(field.waves.shape)
         names = product(field.channels, field.field, field.noll)
@@ -73,7 +125,8 @@ class FieldEntry(Entry):
             tilt = PairEntry.of(None, value=value, covariance=covariance)
         if 4 in field.field:
             curvature = NumberEntry(**field.curvature.as_json())
-        return cls(
+        return cls.of(
+            None,
             photograph_px=field.frame.shape_px,
             f_number=field.f_number,
             f_number_std=field.f_number_std,
@@ -81,6 +134,8 @@ class FieldEntry(Entry):
             terms=tuple(terms),
             sensor_tilt_um_per_mm=tilt,
             curvature_per_mm=curvature,
+            distortion=None if geometry is None else geometry.distortion,
+            lateral_colour=None if geometry is None else geometry.lateral_colour,
         )
 
     def model(self, covariance: Floats, pitch_um: float, reference_nm: float) -> FieldModel:

@@ -19,6 +19,7 @@ from labkit.optics.lens import ThinLens
 from labkit.plan import Plan
 from labkit.results import storage, tables, verdicts
 from labkit.results.common import CommonNumbers
+from labkit.results.geometry import ImageGeometry
 from labkit.results.made_from import MadeFrom
 from labkit.results.model import Focus, Lens, PartTried, Wavefront
 from labkit.results.tables import (
@@ -50,7 +51,8 @@ class Results:
     common: numbers of the lens with their joint covariance, for comparison with another session; None without a lens.
     unanswered: what these frames cannot determine though it was to be estimated; findings say it too. made_from: inputs,
     settings and failed fits; None where an earlier labkit made the results. folder: where it is kept. field: the wavefront over
-    the frame, where the target is a grid; else None.
+    the frame, where there are tiles; else None. geometry: distortion and lateral colour by the places of a grid's tiles, or
+    None.
 
     >>> results = labkit.Results.load("night-3")
     >>> print(results.focus["G"])
@@ -76,6 +78,7 @@ class Results:
     labkit_version: str = __version__
     made_from: MadeFrom | None = None
     folder: Path | None = None
+    geometry: ImageGeometry | None = None
     field: FieldModel | None = None  # last: it hides dataclasses.field
 
     def __post_init__(self) -> None:

@@ -360,6 +360,11 @@ def _focus_entry(focus: Focus) -> dict[str, Any]:
     return FocusEntry.of(focus, pupil_magnification=pupils).written()
 
 
+def _field_entry(results: Results) -> FieldEntry | None:
+    field = results.field
+    return None if field is None else FieldEntry.of_model(field, results.geometry)
+
+
 class PartTriedEntry(Entry):
     """A part of the camera that the photographs were asked about."""
 
@@ -427,7 +432,7 @@ class Content(Entry):
             convention=plan.fit.convention,
             wavefronts=tuple(WavefrontEntry.of_wavefront(w, results) for w in results),
             lens=None if lens is None else LensEntry.of_results(results, lens),
-            field=None if results.field is None else FieldEntry.of_model(results.field),
+            field=_field_entry(results),
             light={name: LightEntry.of(of) for name, of in results.named_lights.items()},
             focus_waves_per_nm=results.focus_slopes(),
             findings=tuple(map(FindingEntry.of, results.findings)),
@@ -447,6 +452,7 @@ class Content(Entry):
                 for name, number in self.model_parts.items()
             },
             "findings": self._findings(),
+            "geometry": None if self.field is None else self.field.geometry,
         }
 
     def _findings(self) -> tuple[Finding, ...]:

@@ -23,8 +23,8 @@ LAYERS = {
     ],
     "estimation": ["estimation"],
     "subjects": [
-        *("analysis", "advice", "restoration", "edges", "catalogue", "experiments"),
-        *("noise", "field", "charts"),
+        *("field", "analysis", "advice", "restoration", "edges", "catalogue"),
+        *("experiments", "noise", "charts"),
     ],
     "faces": ["report", "demo", "cli"],
 }
