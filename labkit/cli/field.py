@@ -38,7 +38,7 @@ def show(
         ),
     ] = None,
 ) -> None:
-    """Show the lens over the frame. Tilt, curvature, coma, MTF, distortion, lateral colour, screws, tiles, limits."""
+    """Show the lens over the frame. Tilt, curvature, coma, MTF, distortion, lateral colour, light, screws, tiles, limits."""
     a_session(session)
     from labkit.field import tables
     from labkit.field.summary import summarise_field
@@ -60,6 +60,8 @@ def show(
         console.table(rows)
     if summary.geometry is not None:
         console.table(tables.place_rows(summary.geometry))
+    if summary.illumination:
+        console.table(tables.light_rows(summary.illumination))
     if summary.screws:
         console.table(tables.screw_rows(summary.screws))
     if summary.tiles:

@@ -9,12 +9,10 @@ import typer
 
 from labkit.cli.app import a_plan, a_session, channels, field_app
 from labkit.cli.console import Console
-from labkit.errors import DataError, InputError
+from labkit.errors import InputError
 
 if TYPE_CHECKING:
     from labkit.field.split import Split
-    from labkit.optics.field import FieldModel
-    from labkit.results import Results
 
 # What a command needs is imported inside it: `labkit --help` and tab completion must not wait for SciPy.
 
@@ -64,23 +62,23 @@ def check_move(
     for session in (before, after):
         a_session(session)
     a_plan(plan)
+    from labkit.field.tables import text
     from labkit.field.turned import check_screw_move
     from labkit.plan import Plan
     from labkit.results import Results
 
     console: Console = ctx.obj
     both = [Results.load(one, name, residuals=False) for one in (before, after)]
-    screws = Plan.load(plan) if plan is not None else both[1].plan
-    fields = [_field(results) for results in both]
-    move = check_screw_move(fields[0], fields[1], screws, screw, turn, channel)
+    screws = None if plan is None else Plan.load(plan)
+    move = check_screw_move(both[0], both[1], screw, turn, screws, channel)
     measured = move.measured
     console.table(
         [
             ["slope of focus/(µm/mm)", "down", "right"],
-            ["measured change", f"{measured.down:+.2f}", f"{measured.right:+.2f}"],
+            ["measured change", *(text(part) for part in (measured.down, measured.right))],
             [
                 "predicted, if clockwise is away from the lens",
-                *(f"{value:+.2f}" for value in move.predicted),
+                *(f"{value:.2f}" for value in move.predicted),
             ],
         ]
     )
@@ -116,8 +114,8 @@ def split(
     from labkit.results import Results
 
     console: Console = ctx.obj
-    fields = [_field(Results.load(one, name, residuals=False)) for one in sessions]
-    parts = split_fields(fields, angles, channel)
+    loaded = [Results.load(one, name, residuals=False) for one in sessions]
+    parts = split_fields(loaded, angles, channel)
     console.table([SPLIT_HEADING, *(row for each in parts.items() for row in _rows(*each))])
     for what, part in parts.items():
         if part.p_value < CONTRADICTORY_P:
@@ -142,12 +140,13 @@ CONTRADICTORY_P = 0.01
 
 def _rows(what: str, split_: Split) -> list[list[str]]:
     """Return the rows of body and lens."""
+    from labkit.field.tables import probability, text
+
     rows = []
     for of, pair in (("body", split_.body), ("lens", split_.lens)):
-        parts = (
-            str(part).removesuffix(f" {pair.unit}") for part in (pair.down, pair.right)
-        )
-        rows.append([_words(what), of, *parts, pair.unit, f"{pair.p_value:.2g}"])
+        chance = probability(pair.p_value).removeprefix("= ")
+        unit = pair.unit.replace("um", "µm")
+        rows.append([_words(what), of, text(pair.down), text(pair.right), unit, chance])
     return rows
 
 
@@ -163,13 +162,3 @@ def _angles(turned: str) -> tuple[float, ...]:
         raise InputError(
             f"--turned {turned}: angles in degrees with commas between them are needed, such as 0,180"
         ) from error
-
-
-def _field(results: Results) -> FieldModel:
-    """Return the field of results. Raises DataError for results without one."""
-    if results.field is None:
-        raise DataError(
-            f"{results.folder}: no field was estimated, which needs several tiles: "
-            "[target] grid, or [field] tiles, in the plan"
-        )
-    return results.field

@@ -18,15 +18,11 @@ from labkit.session.session import Session
 from labkit.types import Floats
 
 
-def session_illumination(
-    results: Results, range_mm: float | None
-) -> dict[str, RelativeIllumination]:
-    """Return the light over the frame of each channel; empty without flats at hand.
-
-    range_mm: whose flats are taken; those of all ranges where it has none
-    """
+def session_illumination(results: Results) -> dict[str, RelativeIllumination]:
+    """Return the light over the frame of each channel by the flats of the middle range; empty without flats at hand."""
     if results.folder is None:
         return {}
+    range_mm = results.ranges_mm[len(results.ranges_mm) // 2]
     try:
         frames = Session.open(results.folder.resolve().parents[1]).frames
         flats = [frame for frame in frames if frame.kind == "flat"]

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from labkit.optics.field import FieldFrame, field_terms
 from labkit.types import Floats
+from labkit.uncertain import Uncertain
 
 LIGHT_BLOCKS = 32
 """Of pixels along the longer side, whose means are fitted."""
@@ -33,6 +35,8 @@ LEAST_SHARE_LIT = 0.5
 
 UNLIT = 0.05
 """Light, relative to the brightest blocks, below which a block is outside of the light."""
+
+FRAME_CORNERS = ("top left", "top right", "bottom right", "bottom left")
 
 Plane = tuple[slice, slice]
 
@@ -70,6 +74,23 @@ class RelativeIllumination:
         """Light (4,) in the corners of the frame, clockwise from the top left, % of the centre's, and standard errors."""
         rows, columns = np.array(self.frame.shape_px) - 1
         return self.percent([[0, 0], [0, columns], [rows, columns], [rows, 0]])
+
+    @property
+    def corners(self) -> dict[str, Uncertain]:
+        """Light in each corner of the frame by its name, % of the centre's."""
+        numbers = zip(*self.corners_percent, strict=True)
+        return {
+            name: Uncertain(float(value), float(std), "%")
+            for name, (value, std) in zip(FRAME_CORNERS, numbers, strict=True)
+        }
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the light in the corners, and how well the polynomial describes the flat."""
+        return {
+            "corners_percent": {at: light.as_json() for at, light in self.corners.items()},
+            "residual_percent": self.residual_percent,
+            "lit_share": self.lit_share,
+        }
 
 
 def measure_illumination(

@@ -28,6 +28,9 @@ WRONG_WAY_P = 0.01
 OTHER_MOVE_P = 0.01
 """Smallest probability of a change of tilt across the expected one that is chance."""
 
+LEAST_STATED_P = 1e-6
+"""Probabilities below, which rest on the far tails of the errors, are stated as less than this."""
+
 TELLING_ERRORS = 3.0
 """Size, in standard errors, of a move that proves its way nearly always."""
 
@@ -132,7 +135,10 @@ def _number(row: Floats, tilt: Pair) -> Uncertain:
 def _move(at: int, height: Uncertain, shim: Uncertain, screws: Screws) -> ScrewMove:
     """Return the move of a screw."""
     if screws.pitch_mm is None:
-        return ScrewMove(at + 1, height, shim, None, _way(height))
+        words = _way(height)
+        if screws.clockwise is None:
+            words += ", which a known move has to prove"
+        return ScrewMove(at + 1, height, shim, None, words)
     factor = 360 / (1e3 * screws.pitch_mm)
     turn = Uncertain(factor * height.value, factor * height.std, "deg")
     amount = Uncertain(abs(turn.value), turn.std, "deg")
@@ -228,7 +234,7 @@ class KnownMove:
             return f"the way is not proven: {self._unproven()}"
         proven = (
             f"proven: clockwise moves the sensor {way}{' from' if way == 'away' else ''} the lens "
-            f"(probability of the other way {self.p_wrong:.1g})"
+            f"(probability of the other way {_chance(self.p_wrong)})"
         )
         expected = self.p_away if way == "away" else self.p_towards
         if expected >= OTHER_MOVE_P:
@@ -268,7 +274,8 @@ class KnownMove:
         }
 
     def _change(self) -> str:
-        return f"({self.measured.down}, {self.measured.right})"
+        parts = (self.measured.down, self.measured.right)
+        return "({})".format(", ".join(str(Uncertain(p.value, p.std)) for p in parts))
 
     def _between(self, one: Floats, other: Floats) -> float:
         """Return the product of two slopes in the metric of the errors."""
@@ -276,6 +283,12 @@ class KnownMove:
 
     def _p_value(self, left: Floats, free: int) -> float:
         return float(chi2.sf(self._between(left, left), free))
+
+
+def _chance(probability: float) -> str:
+    """Return a probability in words that promise no more than errors can."""
+    least = f"{LEAST_STATED_P:g}"
+    return f"< {least}" if probability < LEAST_STATED_P else f"{probability:.1g}"
 
 
 def check_move(

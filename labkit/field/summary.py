@@ -15,8 +15,10 @@ import numpy as np
 from labkit.errors import DataError
 from labkit.field.curves import Band, Profile, profiles, usable_frequencies
 from labkit.field.findings import geometry_findings, tilt_findings
+from labkit.field.flats import session_illumination
 from labkit.field.focus_curves import FocusCurve, through_focus
 from labkit.field.geometry import FieldGeometry
+from labkit.field.illumination import RelativeIllumination
 from labkit.field.limits import Judged, judge_limits
 from labkit.field.mount import ScrewMove, level
 from labkit.field.places import azimuth_of, detail_deg, field_points
@@ -79,6 +81,7 @@ class FieldSummary:
     limits : of the plan
     geometry : distortion and lateral colour; None for tiles that are no grid of equal targets
     camera_tilt : slope of focus without the target's lean; None without a geometry, or without tiles for it
+    illumination : light over the frame of each channel; empty without flats at hand
     screws : what to do at each screw of the plan's mount
     tiles : of the target
     sign_open : whether tilt, curvature, astigmatism and focus may all have the other sign,
@@ -95,6 +98,7 @@ class FieldSummary:
     limits: tuple[Judged, ...]
     geometry: FieldGeometry | None
     camera_tilt: SeparatedTilt | None
+    illumination: dict[str, RelativeIllumination]
     screws: tuple[ScrewMove, ...]
     tiles: tuple[Tile, ...]
     sign_open: bool
@@ -120,8 +124,11 @@ class FieldSummary:
             "profiles": [_profile_as_json(one) for one in self.profiles],
             "through_focus": [_focus_as_json(one) for one in self.through_focus],
             "limits": [one.as_json() for one in self.limits],
-            "geometry": None if self.geometry is None else self.geometry.as_json(),
+            "geometry": None if self.geometry is None else self.geometry.image.as_json(),
             "camera_tilt": None if self.camera_tilt is None else self.camera_tilt.as_json(),
+            "illumination": {
+                name: light.as_json() for name, light in self.illumination.items()
+            },
             "screws": [one.as_json() for one in self.screws],
             "tiles": [one.as_json() for one in self.tiles],
             "sign_open": self.sign_open,
@@ -168,6 +175,7 @@ def summarise_field(results: Results, channel: str | None = None) -> FieldSummar
         judge_limits(plan.limits, model, leading, others),
         geometry,
         tilt,
+        session_illumination(results),
         level(slope, planned_screws(plan)) if told else (),
         tiles_of(results, model),
         sign_open,

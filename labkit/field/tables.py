@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from io import StringIO
 
 import numpy as np
 
 from labkit.field.curves import Band
 from labkit.field.geometry import FieldGeometry
+from labkit.field.illumination import FRAME_CORNERS, RelativeIllumination
 from labkit.field.limits import Judged
 from labkit.field.mount import ScrewMove
 from labkit.field.pair import Pair
@@ -181,6 +182,15 @@ def place_rows(geometry: FieldGeometry) -> Rows:
     for corner, number in corners["lateral_colour_um"].items():
         rows.append([f"lateral colour, {corner}", "µm", text(number)])
     return rows
+
+
+def light_rows(lights: Mapping[str, RelativeIllumination]) -> Rows:
+    """Return the light in the corners of the frame by the flats, % of the centre's."""
+    rows = [["relative illumination", "unit", *lights]]
+    corners = [light.corners for light in lights.values()]
+    return rows + [
+        [name, "%", *(text(of[name]) for of in corners)] for name in FRAME_CORNERS
+    ]
 
 
 def screw_rows(screws: Sequence[ScrewMove]) -> Rows:

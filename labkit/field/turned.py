@@ -1,4 +1,8 @@
-"""Fields of several sessions: a screw turned between two of them, or the lens turned on its mount."""
+"""Fields of several sessions: a screw turned between two of them, or the lens turned on its mount.
+
+A session's tilt is the camera's, without the target's lean, where the places of the target's
+tiles show the lean: a target that leans otherwise in the second session moves nothing.
+"""
 
 from __future__ import annotations
 
@@ -9,19 +13,16 @@ import numpy as np
 from labkit.errors import DataError, InputError
 from labkit.field.mount import KnownMove, Screws, check_move
 from labkit.field.pair import Pair
+from labkit.field.session_geometry import session_geometry
+from labkit.field.session_tilt import session_tilt
 from labkit.field.split import Split, check_angles, split
 from labkit.field.terms import LensTerms, lens_terms
+from labkit.field.tiles import sign_is_open
 from labkit.optics.field import FieldModel
 from labkit.plan import Plan
+from labkit.results import Results
 
 USUAL_CHANNEL = "G"
-
-MISALIGNMENTS: Mapping[str, Callable[[LensTerms], Pair]] = {
-    "sensor_tilt": lambda terms: terms.tilt.slope,
-    "coma": lambda terms: terms.coma,
-    "linear_astigmatism": lambda terms: terms.linear_astigmatism,
-}
-"""Misalignments of the first order, by name."""
 
 
 def planned_screws(plan: Plan) -> Screws:
@@ -34,32 +35,64 @@ def planned_screws(plan: Plan) -> Screws:
     return Screws(mount.screws_mm, mount.screw_pitch_mm, mount.clockwise)
 
 
+def tilt_of(results: Results, channel: str | None = None) -> Pair:
+    """Return the slope of focus over the sensor, µm/mm, without the target's lean where the tiles' places show it.
+
+    Raises
+    ------
+    DataError : results without a field or without the channel, or an open sign
+    """
+    terms = _terms(results, channel)
+    if sign_is_open(results):
+        raise DataError(
+            f"{_name(results)}: the sign of the tilt is open, as of one range: photograph the target at two ranges or more"
+        )
+    geometry = session_geometry(results)
+    if geometry is not None:
+        model = _field(results)
+        camera = session_tilt(results, model, geometry, results.thin_lens)
+        if camera is not None:
+            return camera.slope
+    return terms.tilt.slope
+
+
+MISALIGNMENTS: Mapping[str, Callable[[Results, str | None], Pair]] = {
+    "sensor_tilt": tilt_of,
+    "coma": lambda results, channel: _terms(results, channel).coma,
+    "linear_astigmatism": lambda results, channel: (
+        _terms(results, channel).linear_astigmatism
+    ),
+}
+"""Misalignments of the first order, by name."""
+
+
 def check_screw_move(
-    before: FieldModel,
-    after: FieldModel,
-    plan: Plan,
+    before: Results,
+    after: Results,
     screw: int,
     turn_deg: float,
+    plan: Plan | None = None,
     channel: str | None = None,
 ) -> KnownMove:
     """Compare the sensor's tilt before and after a screw was turned by a known angle.
 
     Parameters
     ----------
-    before, after : fields of two sessions
-    plan : with the screws
+    before, after : results of two sessions
     screw : number, from 1
     turn_deg : clockwise
+    plan : with the screws; that of `after` for None
     channel : G, or the first, for None
 
     Raises
     ------
-    InputError : no screws, no such screw or channel, or no turn
+    InputError : no screws, no such screw, or no turn
+    DataError : no field, no such channel, or a session whose sign is open
 
-    >>> labkit.check_screw_move(before.field, after.field, before.plan, screw=1, turn_deg=90)
+    >>> labkit.check_screw_move(before, after, screw=1, turn_deg=90)
     """
-    screws = planned_screws(plan)
-    tilts = [_terms(model, channel).tilt.slope for model in (before, after)]
+    screws = planned_screws(after.plan if plan is None else plan)
+    tilts = [tilt_of(results, channel) for results in (before, after)]
     try:
         return check_move(tilts[0], tilts[1], screws, screw, turn_deg)
     except ValueError as error:
@@ -67,7 +100,7 @@ def check_screw_move(
 
 
 def split_fields(
-    models: Sequence[FieldModel],
+    sessions: Sequence[Results],
     turned_deg: Sequence[float],
     channel: str | None = None,
 ) -> dict[str, Split]:
@@ -77,37 +110,38 @@ def split_fields(
 
     Parameters
     ----------
-    models : fields of the sessions
+    sessions : results of each
     turned_deg : angle of the lens in each, clockwise as seen from behind the camera
     channel : G, or the first, for None
 
     Raises
     ------
-    InputError : angles that split nothing, waves of different wavelengths, or no such channel
+    InputError : angles that split nothing, or waves of different wavelengths
+    DataError : no field, no such channel, or a session whose sign is open
 
-    >>> labkit.split_fields([upright.field, turned.field], [0, 180])["tilt"].lens
+    >>> labkit.split_fields([upright, turned], [0, 180])["sensor_tilt"].lens
     """
     try:
-        check_angles(len(models), turned_deg)
+        check_angles(len(sessions), turned_deg)
     except ValueError as error:
         raise InputError(str(error)) from error
-    lengths = sorted({model.reference_nm for model in models})
+    lengths = sorted({_field(results).reference_nm for results in sessions})
     if len(lengths) > 1:
         shown = " and ".join(f"{nm:g}" for nm in lengths)
         raise InputError(
             f"the sessions' waves are of {shown} nm: give their plans one fit.reference_wavelength_nm, and fit again"
         )
-    terms = [_terms(model, channel) for model in models]
     found = {}
     for name, of in MISALIGNMENTS.items():
-        measured = [of(each) for each in terms]
+        measured = [of(results, channel) for results in sessions]
         if all(np.all(np.isfinite(pair.value)) for pair in measured):
             found[name] = split(measured, turned_deg)
     return found
 
 
-def _terms(model: FieldModel, channel: str | None) -> LensTerms:
+def _terms(results: Results, channel: str | None) -> LensTerms:
     """Return the terms of a channel. Raises DataError for a channel that the field lacks."""
+    model = _field(results)
     if channel is None:
         usual = USUAL_CHANNEL in model.channels
         channel = USUAL_CHANNEL if usual else model.channels[0]
@@ -115,3 +149,17 @@ def _terms(model: FieldModel, channel: str | None) -> LensTerms:
         return lens_terms(model, channel)
     except ValueError as error:
         raise DataError(str(error)) from error
+
+
+def _field(results: Results) -> FieldModel:
+    """Return the field of results. Raises DataError for results without one."""
+    if results.field is None:
+        raise DataError(
+            f"{_name(results)}: no field was estimated, which needs several tiles: "
+            "[target] grid, or [field] tiles, in the plan"
+        )
+    return results.field
+
+
+def _name(results: Results) -> str:
+    return "the session" if results.folder is None else str(results.folder)

@@ -103,7 +103,7 @@ def contents(
         "sources": SOURCES,
         "checks": _checks(whole),
         "camera_tilt": field.camera_tilt if field else None,
-        "field_sign_open": any(w.sign_open for w in whole),
+        "field_sign_open": field is not None and field.sign_open,
         **(field.tables() if field else NO_FIELD_TABLES),
         "lens_table": lens,
         "focus_table": focus_table(focused, results.reference_wavelength_nm),

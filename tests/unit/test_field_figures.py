@@ -5,13 +5,13 @@ import pytest
 from matplotlib.text import Annotation
 
 from labkit.field.curves import profiles
+from labkit.field.flats import illumination
 from labkit.field.places import line_end_mm
 from labkit.field.surfaces import ASTIGMATISM, focus_um
 from labkit.field.terms import lens_terms
 from labkit.figure_style import channel_inks, styled
 from labkit.optics.mtf import mtf
 from labkit.photographs.photograph import Photograph
-from labkit.report.field.flats import illumination
 from labkit.report.field.maps import covering, even_levels, map_chart
 from labkit.report.field.profiles import height_chart, inner_points, lines_of
 from labkit.report.field.sampled import Grid, after_plane_um, mtf_over

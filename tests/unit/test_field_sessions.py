@@ -18,10 +18,12 @@ from benchmarks.field_sessions import (
     make,
 )
 from labkit.drivers.simulated.setup import settings_for
+from labkit.field.flats import session_illumination
 from labkit.photographs.decoding import read_photograph
 from labkit.plan import Plan
 from labkit.session.import_frames import import_frames
 from tests.plans import SMALL, plan_text, simulated
+from tests.results_samples import some_results
 
 TINY = replace(
     LENS,
@@ -49,6 +51,12 @@ def test_a_written_session_imports_and_has_its_truth_beside_it(tmp_path: Path) -
     truth = json.loads((tmp_path / "shots/truth.json").read_text())
     assert truth == json.loads(made.to_json())
     assert [len(visit["tiles"]) for visit in truth["visits"]] == [6, 6]
+    results = some_results(folder=found.folder / "results/latest", plan=found.plan)
+    lights = session_illumination(results)
+    assert set(lights) == {"R", "B"}
+    corners = [number.value for number in lights["R"].corners.values()]
+    # a tenth is lost in the corners by vignetting, and hardly anything by the fourth power of the cosine
+    assert np.mean(corners) == pytest.approx(90, abs=2)
 
 
 def test_carpets_lie_where_the_truth_has_their_centres(tmp_path: Path) -> None:

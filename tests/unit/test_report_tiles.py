@@ -192,6 +192,7 @@ def test_an_open_sign_is_said_before_any_number_of_the_field(
     open_signs = tuple(replace(w, sign_open=True) for w in near)
     html = write_report(kept(replace(one, wavefronts=open_signs), tmp_path)).read_text()
     assert "sign of focus, tilt, curvature and astigmatism is open" in html
+    assert "No screw can be told to move" in html
     assert html.index("astigmatism is open") < html.index("Sensor tilt, down")
 
 

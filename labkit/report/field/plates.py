@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from labkit.field.curves import Profile, profiles, usable_frequencies
+from labkit.field.flats import session_illumination
 from labkit.field.focus_curves import through_focus
 from labkit.field.geometry import FieldGeometry
 from labkit.field.illumination import RelativeIllumination
@@ -20,6 +21,7 @@ from labkit.field.session_tilt import session_tilt
 from labkit.field.surfaces import ASTIGMATISM, focus_um
 from labkit.field.target_tilt import SeparatedTilt
 from labkit.field.terms import LensTerms, lens_terms
+from labkit.field.tiles import sign_is_open
 from labkit.field.turned import planned_screws
 from labkit.figure_style import HALF_IN, Ink
 from labkit.optics.field import FieldModel
@@ -27,7 +29,6 @@ from labkit.plan import leading_channel
 from labkit.report.cards import Card
 from labkit.report.field.cards import field_cards
 from labkit.report.field.files import Rows, field_files
-from labkit.report.field.flats import session_illumination
 from labkit.report.field.geometry_charts import (
     distortion_chart,
     distortion_factor,
@@ -128,12 +129,18 @@ class FieldArtist:
         (lead,) = (t for t in self.terms if t.channel == self.lead)
         return lead.tilt.slope
 
+    @property
+    def sign_open(self) -> bool:
+        """Whether tilt, curvature, astigmatism and focus may all have the other sign: screws are then not told to move."""
+        return sign_is_open(self.results)
+
     def tables(self) -> dict[str, Table | None]:
         """Return the tables of the field by their names in the template; None for one without rows."""
         geometry, plan = self.geometry, self.results.plan
         others = {} if geometry is None else corner_numbers(geometry)
         limits = judge_limits(plan.limits, self.model, self.lead, others)
-        screws = None if plan.mount.screws_mm is None else planned_screws(plan)
+        told = plan.mount.screws_mm is not None and not self.sign_open
+        screws = planned_screws(plan) if told else None
         camera = self.camera_tilt
         return {
             "field_table": field_table(self.terms),
@@ -371,7 +378,7 @@ class FieldArtist:
     @cached_property
     def illumination(self) -> dict[str, RelativeIllumination]:
         """Light over the frame of each channel, where the session has flats."""
-        return session_illumination(self.results, self.nearest.range_mm)
+        return session_illumination(self.results)
 
     def light(self) -> Iterator[Plate]:
         """Yield relative illumination."""

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from labkit.field.geometry import FieldGeometry
-from labkit.field.illumination import RelativeIllumination
+from labkit.field.illumination import FRAME_CORNERS, RelativeIllumination
 from labkit.field.limits import Judged, Numbers
 from labkit.field.mount import Screws, level
 from labkit.field.pair import Pair
@@ -169,17 +169,14 @@ def screw_table(tilt: Pair, screws: Screws) -> Table:
     return Table(columns, tuple(rows))
 
 
-CORNER_NAMES = ("top left", "top right", "bottom right", "bottom left")
-
-
 def light_table(lights: Mapping[str, RelativeIllumination]) -> Table | None:
     """Return the light in the corners, % of the centre's; None without flats."""
     if not lights:
         return None
-    corners = [zip(*of.corners_percent, strict=True) for of in lights.values()]
-    cells = [[estimated(Uncertain(float(v), float(s))) for v, s in of] for of in corners]
     columns = (Column("", text=True), *channel_columns(tuple(lights), "%"))
+    corners = [light.corners for light in lights.values()]
     rows = [
-        Row((f"{name} corner", *by)) for name, *by in zip(CORNER_NAMES, *cells, strict=True)
+        Row((f"{name} corner", *(estimated(of[name]) for of in corners)))
+        for name in FRAME_CORNERS
     ]
     return Table(columns, tuple(rows))
