@@ -70,7 +70,7 @@ def _modes(lens: LensFit) -> Iterator[Row]:
     """Yield all modes but defocus, of each channel with members."""
     model, point = lens.model, lens.solved.point
     values = model.true(point.theta, point.own)
-    slopes = model.true_slopes(lens.solved.slopes)
+    slopes = model.true_slopes(model.seen(lens.solved.slopes))
     members = {
         model.readings[k].key.channel: k
         for k in np.flatnonzero(lens.measured.used)[::-1].tolist()

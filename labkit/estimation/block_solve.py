@@ -1,7 +1,7 @@
 """Least squares over the observations of a session, eliminated block by block (Schur complement).
 
-No array here is larger than observations x values x columns: the normal equations of n observations with p common columns
-cost n p^2. Levenberg (1944), Marquardt (1963).
+The observations of an exposure are added up once (`Data`): a step costs as much for a thousand tiles as for ten. Levenberg
+(1944), Marquardt (1963).
 """
 
 from __future__ import annotations
@@ -17,29 +17,82 @@ from labkit.estimation.settings import SETTINGS
 from labkit.types import Bools, Floats
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Data:
-    """Measured values of n observations with their weights.
+    """Measured values of n observations with their weights, and what they say of the coefficients of their exposures.
+
+    The values of an exposure are linear in its coefficients: a quadratic form of these holds all that its observations say,
+    however many there are.
 
     Attributes
     ----------
+    model : has the exposures, and the polynomials of the field
     values : (n, values)
     precision : (n, values, values) inverse covariances; 0 for observations that are left out
     """
 
+    model: LensModel
     values: Floats
     precision: Floats
 
     @classmethod
-    def of(cls, values: Floats, covariance: Floats, used: Bools) -> Data:
+    def of(cls, model: LensModel, values: Floats, covariance: Floats, used: Bools) -> Data:
         """Weight values (n, values) by covariances (n, values, values); used: (n,) observations that count."""
         precision = np.zeros_like(covariance)
         precision[used] = np.linalg.inv(covariance[used])
-        return cls(values, precision)
+        return cls(model, values, precision)
 
-    def chi2(self, rest: Floats) -> float:
-        """Return the sum of squared misfits (n, values), weighted by the precision."""
-        return quadratic(rest, self.precision)
+    def pulled(self, shifts: Floats) -> Floats:
+        """Return the pull (exposures, coefficients) of residuals (n, values) on the coefficients."""
+        forces = (self.precision @ shifts[..., None])[..., 0]
+        pulls = np.zeros((len(self.model.blocks), self.model.values, self.model.terms))
+        np.add.at(pulls, self.model.exposures, forces[..., None] * self.model.polynomials)
+        return pulls.reshape(len(pulls), -1)
+
+    @cached_property
+    def information(self) -> Floats:
+        """(exposures, coefficients, coefficients)."""
+        model = self.model
+        exposures, values, terms = len(model.blocks), model.values, model.terms
+        information = np.zeros((exposures, values, terms, values, terms))
+        for k in range(exposures):
+            here = np.flatnonzero(model.exposures == k)
+            field, precision = model.polynomials[here], self.precision[here]
+            for value in range(values):
+                weighted = precision[:, value, :, None] * field
+                information[k, value] = np.tensordot(field[:, value], weighted, (0, 0))
+        return information.reshape(exposures, values * terms, values * terms)
+
+    @cached_property
+    def _middle(self) -> tuple[Floats, Floats, float]:
+        """Coefficients near those that fit best, the pull of the residuals there, and their chi2.
+
+        Two steps, so that rounding of the first does not count.
+        """
+        scale = np.sqrt(np.einsum("kcc->kc", self.information))
+        scale[scale == 0] = 1.0
+        unit = self.information / (scale[:, :, None] * scale[:, None])
+        unit += SETTINGS.exact**2 * np.eye(scale.shape[1])
+        middle, rest = np.zeros_like(scale), self.values
+        for _ in range(2):
+            pull = self.pulled(rest)
+            middle = (
+                middle + np.linalg.solve(unit, (pull / scale)[..., None])[..., 0] / scale
+            )
+            rest = self.values - self.model.seen(middle)
+        return middle, self.pulled(rest), quadratic(rest, self.precision)
+
+    def chi2(self, coefficients: Floats) -> float:
+        """Return the sum of squared misfits, weighted by the precision, for coefficients (exposures, coefficients)."""
+        middle, pull, least = self._middle
+        away = coefficients - middle
+        return least + quadratic(away, self.information) - 2 * float(np.sum(away * pull))
+
+    def pulls(self, coefficients: Floats) -> Floats:
+        """Return minus half the derivatives of `chi2`, (exposures, coefficients)."""
+        middle, pull, _ = self._middle
+        away = coefficients - middle
+        return np.asarray(pull - (self.information @ away[..., None])[..., 0])
 
 
 @dataclass(frozen=True)
@@ -135,23 +188,26 @@ class LeastSquares(Position):
     point: Point
 
     @cached_property
-    def predicted(self) -> Floats:
-        """(n, values) predicted by the model."""
-        return self.model.predicted(self.point.theta, self.point.own)
+    def coefficients(self) -> Floats:
+        """(exposures, coefficients) predicted by the model."""
+        return self.model.coefficients(self.point.theta, self.point.own)
 
     @cached_property
-    def rest(self) -> Floats:
-        """(n, values) residuals: measured less predicted."""
-        return self.data.values - self.predicted
+    def predicted(self) -> Floats:
+        """(n, values) predicted by the model."""
+        return self.model.seen(self.coefficients)
+
+    @property
+    def prior_chi2(self) -> float:
+        """Sum of squared departures from the priors' means."""
+        model, point = self.model, self.point
+        away = (point.theta - model.centre) / model.prior_std
+        return float(np.sum(away**2) + np.sum((point.own / model.local_std) ** 2))
 
     @cached_property
     def chi2(self) -> float:
         """Sum of squared misfits of data and priors."""
-        model = self.model
-        point = self.point
-        away = (point.theta - model.centre) / model.prior_std
-        own = point.own / model.local_std
-        return self.data.chi2(self.rest) + float(np.sum(away**2) + np.sum(own**2))
+        return self.data.chi2(self.coefficients) + self.prior_chi2
 
     @property
     def objective(self) -> float:
@@ -164,20 +220,20 @@ class LeastSquares(Position):
 
     @property
     def slopes(self) -> Floats:
-        """(n, values, columns) derivatives by the common columns."""
+        """(exposures, coefficients, columns) derivatives of the coefficients by the common columns."""
         return self._slopes[0]
 
     @property
     def own_slopes(self) -> Floats:
-        """(n, values, local columns) derivatives by the block's own columns."""
+        """(exposures, coefficients, local columns) derivatives by the block's own columns."""
         return self._slopes[1]
 
     @cached_property
     def normal(self) -> Normal:
         """Normal equations, the priors' information included."""
         model = self.model
-        weighted = self.data.precision @ self.slopes
-        own_weighted = self.data.precision @ self.own_slopes
+        weighted = self.data.information @ self.slopes
+        own_weighted = self.data.information @ self.own_slopes
         members = [model.blocks == block for block in range(model.blocks.max() + 1)]
 
         def summed(rows: Floats, other: Floats) -> Floats:
@@ -189,16 +245,31 @@ class LeastSquares(Position):
             summed(self.own_slopes, own_weighted) + np.diag(model.local_std**-2.0),
         )
 
-    def pulls(self, shifts: Floats) -> tuple[Floats, Floats]:
-        """Return right-hand sides (p,) and (blocks, own) of the normal equations for residuals (n, values)."""
-        weighted = (self.data.precision @ shifts[..., None])[..., 0]
-        own = self.model.by_block(np.einsum("nvl,nv->nl", self.own_slopes, weighted))
-        return np.tensordot(self.slopes, weighted, ([0, 1], [0, 1])), own
+    def pulls(self, forces: Floats) -> tuple[Floats, Floats]:
+        """Return right-hand sides (p,) and (blocks, own) of the normal equations for forces (exposures, coefficients)."""
+        own = np.zeros_like(self.point.own)
+        np.add.at(own, self.model.blocks, np.einsum("nvl,nv->nl", self.own_slopes, forces))
+        return np.tensordot(self.slopes, forces, ([0, 1], [0, 1])), own
+
+    @cached_property
+    def followed(self) -> Floats:
+        """(exposures, coefficients, columns) derivatives by the common columns, own columns following."""
+        eliminated = self.normal.eliminated[self.model.blocks]
+        return np.asarray(self.slopes - self.own_slopes @ eliminated)
+
+    @cached_property
+    def covariance(self) -> Floats:
+        """(exposures, coefficients, coefficients) covariance of each exposure's coefficients."""
+        own, alone = self.own_slopes, self.normal.own_covariance[self.model.blocks]
+        return np.asarray(
+            self.followed @ self.normal.covariance @ self.followed.transpose(0, 2, 1)
+            + own @ alone @ own.transpose(0, 2, 1)
+        )
 
     def step(self, damping: float) -> Step:
         model = self.model
         theta = self.point.theta
-        gradient, own = self.pulls(self.rest)
+        gradient, own = self.pulls(self.data.pulls(self.coefficients))
         gradient -= (theta - model.centre) / model.prior_std**2
         own -= self.point.own / model.local_std**2
         low, high = model.bounds()
@@ -215,6 +286,9 @@ class LeastSquares(Position):
             self, point=Point(within, self.point.own + own.reshape(self.point.own.shape))
         )
 
+    def foreseen(self, change: Floats) -> LeastSquares:
+        return self.moved(change)
+
 
 def solve(
     model: LensModel, data: Data, start: Point, tolerance: float = 1e-4
@@ -227,7 +301,7 @@ def solve(
 
 
 def _product(rows: Floats, other: Floats) -> Floats:
-    """Return the sum of products (a, b) of rows (n, values, a) and (n, values, b)."""
+    """Return the sum of products (a, b) of rows (exposures, coefficients, a) and (exposures, coefficients, b)."""
     return np.asarray(np.tensordot(rows, other, ([0, 1], [0, 1])))
 
 

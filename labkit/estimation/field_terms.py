@@ -99,42 +99,39 @@ def family(column: Column) -> Family | None:
     return column.kind, n, order, abs(m) == abs(azimuth)
 
 
-def design(
-    columns: Sequence[Column], places: Floats, noll: Sequence[int], values: int
-) -> Floats:
-    """Return derivatives (n, values, columns) of the values of observations by columns of the field; 0 for other columns.
+def polynomials(order: int, places: Floats, noll: Sequence[int], values: int) -> Floats:
+    """Return derivatives (n, values, terms) of the values of observations by their coefficients over the field.
 
+    The first term is constant. Numbers of camera parts have no other.
+
+    Parameters
+    ----------
+    order : radial order in the field
     places : (n, 2) as in `Reading.place`
-    values : number of values of an observation: the modes first, cone and scale last
+    noll : the modes, which are the first of the values
+    values : number of values of an observation, the cone and the scale last
     """
-    rows = np.zeros((len(places), values, len(columns)))
-    for at, column in enumerate(columns):
-        if family(column) is None:
-            continue
-        k, *pupil = (int(j) for j in column.name)
-        last = {FIELD_CONE: values - 2, FIELD_SCALE: values - 1}
-        row = noll.index(pupil[0]) if pupil else last[column.kind]
-        rows[:, row, at] = modes_at((k,), places[:, 1], places[:, 0])[0]
-        if pupil == [DEFOCUS]:
-            rows[:, row, at] -= in_the_middle(k)
+    terms = field_terms(order)
+    rows = np.zeros((len(places), values, len(terms)))
+    rows[:, [*range(len(noll)), values - 2, values - 1]] = modes_at(
+        terms, places[:, 1], places[:, 0]
+    ).T[:, None]
+    rows[:, noll.index(DEFOCUS), 1:] -= [in_the_middle(k) for k in terms[1:]]
+    rows[:, :, 0] = 1.0
     return rows
 
 
-def station_design(
-    columns: Sequence[Column], places: Floats, stations: Sequence[float]
-) -> Floats:
-    """Return derivatives (n, columns) of ln of the scale by the columns of the stations; 0 for other columns.
-
-    places : (n, 2) as in `Reading.place`
-    stations : of the n observations
-    """
-    rows = np.zeros((len(places), len(columns)))
-    for at, column in enumerate(columns):
-        if column.kind == FIELD_TILT:
-            station, k = column.name
-            here = np.array(stations) == station
-            rows[here, at] = modes_at((int(k),), places[here, 1], places[here, 0])[0]
-    return rows
+def coefficient(column: Column, order: int, noll: Sequence[int], values: int) -> int | None:
+    """Return the place among the coefficients (values, terms) of `polynomials` to which a column adds; None if to none."""
+    last = {FIELD_CONE: values - 2, FIELD_SCALE: values - 1, FIELD_TILT: values - 1}
+    if column.kind in (FIELD_MODE, FIELD_COLOUR):
+        k, j = column.name
+        row = noll.index(int(j))
+    elif column.kind in last:
+        k, row = column.name[-1], last[column.kind]
+    else:
+        return None
+    return row * len(field_terms(order)) + int(k) - 1
 
 
 def in_the_middle(k: int) -> float:

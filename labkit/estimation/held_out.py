@@ -47,16 +47,14 @@ def _pulls(lens: LensFit, rows: Indices) -> Floats:
 
 def _spread(lens: LensFit, rows: Indices) -> Floats:
     """Return the covariance (m values, m values) of the fitted values of m observations."""
-    normal, own = lens.solved.normal, lens.solved.own_slopes[rows]
-    blocks = lens.model.blocks[rows]
-    followed = (lens.solved.slopes[rows] - own @ normal.eliminated[blocks]).reshape(
-        -1, normal.covariance.shape[0]
-    )
+    model, solved = lens.model, lens.solved
+    normal, blocks = solved.normal, model.blocks[model.exposures[rows]]
+    followed = model.seen(solved.followed, rows).reshape(-1, len(lens.theta))
+    own = model.seen(solved.own_slopes, rows)
     spread = followed @ normal.covariance @ followed.T
-    values = lens.model.values
     for block in np.unique(blocks):
         at = np.flatnonzero(blocks == block)
-        stacked = own[at].reshape(len(at) * values, -1)
-        places = (at[:, None] * values + np.arange(values)).ravel()
+        stacked = own[at].reshape(len(at) * model.values, -1)
+        places = (at[:, None] * model.values + np.arange(model.values)).ravel()
         spread[np.ix_(places, places)] += stacked @ normal.own_covariance[block] @ stacked.T
     return np.asarray(spread)

@@ -105,8 +105,8 @@ def refit_jointly(
         progress(done, SETTINGS.most_steps, "climbing jointly")
         before = lens
         places = _all_reached(session, targets, lens, places, run)
-        prior_chi2 = lens.solved.chi2 - lens.solved.data.chi2(lens.solved.rest)
-        likelihoods.append(sum(one.log_likelihood for one in places) - 0.5 * prior_chi2)
+        members = sum(one.log_likelihood for one in places)
+        likelihoods.append(members - 0.5 * lens.solved.prior_chi2)
         lens = _lens_of(session, places, first)
         if max(_differences(lens, before).values()) < SETTINGS.converged_stds:
             break

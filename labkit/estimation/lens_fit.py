@@ -143,9 +143,11 @@ class LensFit:
         combinations : (m, columns)
         k : observation whose values the combinations are: the own columns of its block count too
         """
-        normal, own = self.solved.normal, self.solved.own_slopes[k or 0]
-        own = np.zeros((len(combinations), own.shape[1])) if k is None else own
-        block = self.model.blocks[k or 0]
+        normal, model = self.solved.normal, self.model
+        own = np.zeros((len(combinations), len(model.local_columns)))
+        if k is not None:
+            own = model.seen(self.solved.own_slopes, np.array([k]))[0]
+        block = model.blocks[model.exposures[k or 0]]
         followed = combinations - own @ normal.eliminated[block]
         noise = (
             followed @ normal.covariance @ followed.T
@@ -182,21 +184,19 @@ class LensFit:
         return np.asarray(self.birge_ratio * np.sqrt(np.maximum(left, 0.0)))
 
     @cached_property
-    def _eliminated_slopes(self) -> Floats:
-        """(n, values, columns) derivatives by the common columns, each block's own columns eliminated."""
-        followed = self.solved.normal.eliminated[self.model.blocks]
-        return np.asarray(self.solved.slopes - self.solved.own_slopes @ followed)
-
-    @cached_property
     def _spread(self) -> Floats:
         """(n, values, values) covariance of fitted values."""
-        own, followed = self.solved.own_slopes, self._eliminated_slopes
-        normal = self.solved.normal
-        alone = normal.own_covariance[self.model.blocks]
-        return np.asarray(
-            followed @ normal.covariance @ followed.transpose(0, 2, 1)
-            + own @ alone @ own.transpose(0, 2, 1)
-        )
+        model = self.model
+        values, terms = model.values, model.terms
+        spread = np.empty((len(model.readings), values, values))
+        for k, covariance in enumerate(self.solved.covariance):
+            here = np.flatnonzero(model.exposures == k)
+            field = model.polynomials[here]
+            of_values = covariance.reshape(values, terms, values, terms)
+            for value in range(values):
+                turned = np.tensordot(field[:, value], of_values[value], 1)
+                spread[here, value] = np.sum(turned * field, axis=2)
+        return spread
 
     @cached_property
     def predictions(self) -> tuple[Floats, Floats]:
@@ -235,7 +235,8 @@ class LensFit:
         """
         model, point = self.model, self.solved.point
         value = model.true(point.theta, point.own)[k]
-        whole = self.errors_of(model.true_slopes(self.solved.slopes[k]), k)
+        slopes = model.seen(self.solved.slopes, np.array([k]))[0]
+        whole = self.errors_of(model.true_slopes(slopes), k)
         if not model.laws.paraxial:
             whole = covariance_with_bias(whole, self._by_f_number(value))
         if model.laws.shared:
@@ -267,25 +268,32 @@ class LensFit:
         own : (m, local columns) derivatives by the own columns of a block
         block : the block
         """
-        used = np.flatnonzero(self.measured.used)
-        roots = _roots(self.measured.model[used])
-        if not roots.any():
+        if not self._model_pulls.any():
             return np.zeros((len(followed), len(followed)))
-        normal, slopes = self.solved.normal, self._eliminated_slopes
-        pulls = followed @ normal.covariance @ slopes.transpose(0, 2, 1)
-        inside = self.model.blocks == block
-        slopes = self.solved.own_slopes[inside]
-        pulls[inside] += own @ normal.own_covariance[block] @ slopes.transpose(0, 2, 1)
-        moved = np.sum((pulls @ self.solved.data.precision)[used] @ roots, axis=0)
-        return np.asarray((1 - 1 / len(used)) * moved @ moved.T)
+        normal, model = self.solved.normal, self.model
+        moves = self.solved.followed @ (normal.covariance @ followed.T)
+        alike = model.blocks == block
+        moves[alike] += self.solved.own_slopes[alike] @ (
+            normal.own_covariance[block] @ own.T
+        )
+        moved = np.tensordot(moves, self._model_pulls, ([0, 1], [0, 1]))
+        return np.asarray((1 - 1 / self.measured.used.sum()) * moved @ moved.T)
+
+    @cached_property
+    def _model_pulls(self) -> Floats:
+        """(exposures, coefficients, values) pull of model errors of one standard deviation, the same in every fit."""
+        used = np.where(self.measured.used[:, None, None], self.measured.model, 0.0)
+        roots = _roots(used)
+        return np.stack(
+            [self.solved.data.pulled(roots[..., k]) for k in range(self.model.values)],
+            axis=-1,
+        )
 
     def contributions(self, gradient: Floats) -> dict[str, float]:
         """Return an error budget of a combination (columns,): standard errors by photons, calibration, geometry, model."""
         normal, model, measured = self.solved.normal, self.model, self.measured
-        pull = (
-            (self._eliminated_slopes @ (normal.covariance @ gradient))[:, None]
-            @ self.solved.data.precision
-        )[:, 0]
+        along = model.seen(self.solved.followed @ (normal.covariance @ gradient))
+        pull = (self.solved.data.precision @ along[..., None])[..., 0]
         calibration = quadratic(pull, measured.calibration)
         surplus = quadratic(pull, measured.model)
         scatter = np.sum(pull**2, axis=0) * model.scatter()
@@ -341,7 +349,10 @@ def _sized(rows: Floats, columns: int) -> Floats:
 
 
 def fit_lens(
-    model: LensModel, measured: Measurements, start: Point | None = None
+    model: LensModel,
+    measured: Measurements,
+    start: Point | None = None,
+    tolerance: float = 1e-4,
 ) -> LensFit:
     """Estimate the session's parameters by least squares.
 
@@ -350,12 +361,12 @@ def fit_lens(
     model : laws and columns
     measured : measurements of all the model's observations
     start : an earlier estimate of the same columns; None to start from the observations' defocus
+    tolerance : of the end, in standard errors
     """
     noise = measured.covariance + np.diag(model.scatter())
-    data = Data.of(measured.values, noise, measured.used)
-    return LensFit(
-        model, measured, solve(model, data, start or first_point(model, measured))
-    )
+    data = Data.of(model, measured.values, noise, measured.used)
+    start = start or first_point(model, measured)
+    return LensFit(model, measured, solve(model, data, start, tolerance))
 
 
 def fit_field(
@@ -367,8 +378,9 @@ def fit_field(
     """
     lens = fit_lens(model, measured, start)
     for _ in range(SETTINGS.most_steps if model.field_order else 0):
-        spread = lens.field_spread()
-        changed = fit_lens(replace(model, field_spread=spread), measured, lens.solved.point)
+        wider = replace(model, field_spread=lens.field_spread())
+        solved = solve(wider, lens.solved.data, lens.solved.point)
+        changed = LensFit(wider, measured, solved)
         if changed.log_evidence < lens.log_evidence + SETTINGS.same_optimum:
             break
         lens = changed
@@ -382,7 +394,7 @@ def first_point(model: LensModel, measured: Measurements) -> Point:
     ranges = np.array([reading.range_mm for reading in model.readings])
     waves = measured.values[:, model.defocus]
     found = {
-        channel: crossing(ranges[here], waves[here], model)
+        channel: float(crossing(ranges[here], waves[here], model))
         for channel in model.channels
         if np.any(here := (channels == channel) & measured.used)
     }
@@ -394,7 +406,7 @@ def first_point(model: LensModel, measured: Measurements) -> Point:
     for channel in model.channels:
         if channel != model.reference:
             theta[model.index(AXIAL_COLOUR, channel)] = found.get(channel, first) - first
-    return Point(theta, np.zeros((int(model.blocks.max()) + 1, len(model.local_columns))))
+    return Point(theta, np.zeros((len(model.channels), len(model.local_columns))))
 
 
 def focus_slope(model: LensModel) -> float:
@@ -404,20 +416,24 @@ def focus_slope(model: LensModel) -> float:
     return float(-(focal_mm**2) / (8 * f_number**2 * np.sqrt(12) * reference_mm))
 
 
-def crossing(ranges_mm: Floats, waves: Floats, model: LensModel) -> float:
-    """Return the range of zero defocus, mm, by a straight line through defocus over 1/(range - f).
+def crossing(ranges_mm: Floats, waves: Floats, model: LensModel) -> Floats:
+    """Return the ranges (...,) of zero defocus, mm, by straight lines through defocus over 1/(range - f).
 
     Parameters
     ----------
     ranges_mm : (m,)
-    waves : (m,) defocus, waves RMS
+    waves : (..., m) defocus, waves RMS
     model : has the stated focal length and f-number
     """
     focal_mm = model.stated.focal_length.value
-    inverse = np.mean(1 / (ranges_mm - focal_mm) - waves / focus_slope(model))
-    if len(set(ranges_mm.tolist())) > 1:
-        fitted, offset = np.polyfit(1 / (ranges_mm - focal_mm), waves, 1)
-        inverse = -offset / fitted if fitted < 0 else inverse
+    at = 1 / (ranges_mm - focal_mm)
+    inverse = np.mean(at - waves / focus_slope(model), axis=-1)
+    away = at - at.mean()
+    if np.ptp(ranges_mm) > 0:
+        slope = waves @ away / (away @ away)
+        falling = np.where(slope < 0, slope, -np.inf)
+        own = at.mean() - np.mean(waves, axis=-1) / falling
+        inverse = np.where(slope < 0, own, inverse)
     low = 1 / (3 * ranges_mm.max() - focal_mm)
     high = 1 / max(ranges_mm.min() / 3 - focal_mm, 0.5 * focal_mm)
-    return float(1 / np.clip(inverse, low, high) + focal_mm)
+    return np.asarray(1 / np.clip(inverse, low, high) + focal_mm)

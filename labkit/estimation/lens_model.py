@@ -8,7 +8,7 @@ needs a new column (`_columns`) and its derivatives: an entry of `_channel_map`,
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Hashable, Iterable, Iterator, Mapping
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import cast
@@ -18,16 +18,17 @@ import numpy as np
 from labkit.estimation.candidate import Reading
 from labkit.estimation.field_terms import (
     Family,
+    coefficient,
     common_columns,
-    design,
     own_columns,
-    station_design,
+    polynomials,
     usual_order,
 )
 from labkit.estimation.laws import (
     AXIAL_COLOUR,
     COMMON_MODE,
     F_NUMBER,
+    FIELD_TILT,
     FOCAL_LENGTH,
     FOCUS,
     GEOMETRY,
@@ -51,6 +52,7 @@ from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import Stated
 from labkit.imaging.parts import ESTIMATED
 from labkit.key import Key
+from labkit.optics.field import field_terms
 from labkit.optics.lens import USUAL_LOG_MAGNIFICATION, ThinLens, defocus_waves
 from labkit.optics.wavefront import DEFOCUS
 from labkit.types import Bools, Floats, Indices
@@ -67,8 +69,10 @@ class LensModel:
     """The laws of a session, for all observations, measured or not.
 
     Values of an observation, in order: modes of `noll`, numbers of the parts, ln of the working f-number, ln of the scale.
-    Columns are parameters of the whole session. Where observations are of tiles, `labkit.estimation.field_terms` adds those of
-    the field, and local columns: a set for each channel, which `labkit.estimation.block_solve` eliminates.
+    All tiles of a channel at a station are one exposure: the laws give it a polynomial over the field for each value, a
+    constant where there are no tiles. Its coefficients, (values, terms), follow from the columns, which are parameters of the
+    whole session. `labkit.estimation.field_terms` adds those of the field, and local columns: a set for each channel, which
+    `labkit.estimation.block_solve` eliminates.
 
     Attributes
     ----------
@@ -139,23 +143,40 @@ class LensModel:
         return _numbered((r.key.channel, r.key.tile) for r in self.readings)
 
     @cached_property
-    def blocks(self) -> Indices:
-        """(n,) index of each observation's block, which has local columns: its channel."""
-        return _numbered(r.key.channel for r in self.readings)
+    def terms(self) -> int:
+        """Number of terms over the field."""
+        return len(field_terms(self.field_order))
 
-    def by_block(self, rows: Floats) -> Floats:
-        """Sum rows (n, ...) over the observations of each block, (blocks, ...)."""
-        order, first = self._block_order
-        return np.asarray(
-            np.add.reduceat(rows if order is None else rows[order], first, axis=0)
+    @cached_property
+    def exposures(self) -> Indices:
+        """(n,) index of each observation's exposure: observations that differ in their tiles only."""
+        return _numbered(
+            (r.key.range_mm, r.key.channel, r.range_mm, r.station, r.homings)
+            for r in self.readings
         )
 
     @cached_property
-    def _block_order(self) -> tuple[Indices | None, Indices]:
-        """Order that sorts observations by block, None if they are sorted, and the place where each block begins."""
-        order = np.argsort(self.blocks, kind="stable")
-        first = np.flatnonzero(np.diff(self.blocks[order], prepend=-1))
-        return None if np.array_equal(order, np.arange(len(order))) else order, first
+    def _exposed(self) -> list[Reading]:
+        """One reading of each exposure."""
+        first = np.unique(self.exposures, return_index=True)[1]
+        return [self.readings[k] for k in first]
+
+    @cached_property
+    def polynomials(self) -> Floats:
+        """(n, values, terms) derivatives of each value by its own coefficients."""
+        places = np.array([reading.place for reading in self.readings])
+        return polynomials(self.field_order, places, self.noll, self.values)
+
+    def seen(self, coefficients: Floats, at: Indices | slice = slice(None)) -> Floats:
+        """Return values (n, values, ...) of observations for coefficients (exposures, values x terms, ...)."""
+        shape = (len(coefficients), self.values, self.terms, *coefficients.shape[2:])
+        here = coefficients.reshape(shape)[self.exposures[at]]
+        return np.asarray(np.einsum("nvt,nvt...->nv...", self.polynomials[at], here))
+
+    @cached_property
+    def blocks(self) -> Indices:
+        """(exposures,) index of each exposure's block, which has local columns: its channel."""
+        return _numbered(reading.key.channel for reading in self._exposed)
 
     @cached_property
     def columns(self) -> tuple[Column, ...]:
@@ -233,36 +254,42 @@ class LensModel:
         return variance
 
     def predicted(self, theta: Floats, local: Floats) -> Floats:
-        """Predict the measurements (n, values), for theta (columns,) and local (blocks, local columns).
-
-        Light of a longer wavelength than stated makes the same picture as stated light through a cone narrower by the same
-        ratio, with path differences smaller by the same ratio: N grows with the wavelength's error, the modes shrink. If the
-        stated pitch is too large, so are N and the scale, by the same ratio.
-        """
-        values, arguments = np.split(self._sums(theta, local), [self.values], axis=1)
-        values[:, self._law_rows] += self._laws(arguments.T).T
-        values[:, : len(self.noll)] *= np.exp(-(self._longer @ theta))[:, None]
-        return values
+        """Predict the measurements (n, values), for theta (columns,) and local (blocks, local columns)."""
+        return self.seen(self.coefficients(theta, local))
 
     def true(self, theta: Floats, local: Floats) -> Floats:
         """Return values (n, values) as predicted for light and a pitch as stated: their errors change what is measured only."""
         return self.predicted(np.where(self._apparent, 0.0, theta), local)
 
+    def coefficients(self, theta: Floats, local: Floats) -> Floats:
+        """Predict each exposure's coefficients (exposures, values x terms) over the field.
+
+        Light of a longer wavelength than stated makes the same picture as stated light through a cone narrower by the same
+        ratio, with path differences smaller by the same ratio: N grows with the wavelength's error, the modes shrink. If the
+        stated pitch is too large, so are N and the scale, by the same ratio.
+        """
+        size = self.values * self.terms
+        coefficients, arguments = np.split(self._sums(theta, local), [size], axis=1)
+        coefficients[:, self._law_rows] += self._laws(arguments.T).T
+        coefficients[:, self._of_modes] *= np.exp(-(self._longer @ theta))[:, None]
+        return coefficients
+
     def slopes(self, theta: Floats, local: Floats) -> tuple[Floats, Floats]:
-        """Return derivatives of `predicted`: (n, values, columns), and (n, values, local columns)."""
-        by_argument = self._law_slopes(self._sums(theta, local)[:, self.values :].T)
+        """Return derivatives of `coefficients` by the columns and by the local columns, (exposures, values x terms, ...)."""
+        size = self.values * self.terms
+        by_argument = self._law_slopes(self._sums(theta, local)[:, size:].T)
         shrunk = np.exp(-(self._longer @ theta))[:, None, None]
 
         def chained(rows: Floats) -> Floats:
-            slopes = rows[:, : self.values].copy()
-            arguments = rows[:, self.values :]
+            slopes = rows[:, :size].copy()
+            arguments = rows[:, size:]
             slopes[:, self._law_rows] += np.einsum("lan,nac->nlc", by_argument, arguments)
-            slopes[:, : len(self.noll)] *= shrunk
+            slopes[:, self._of_modes] *= shrunk
             return slopes
 
         whole, own = map(chained, self._map[1:])
-        modes = self.predicted(theta, local)[:, : len(self.noll), None]
-        whole[:, : len(self.noll)] -= modes * self._longer[:, None]
+        modes = self.coefficients(theta, local)[:, self._of_modes, None]
+        whole[:, self._of_modes] -= modes * self._longer[:, None]
         return whole, own
 
     def true_slopes(self, slopes: Floats) -> Floats:
@@ -275,8 +302,14 @@ class LensModel:
 
     @property
     def _law_rows(self) -> list[int]:
-        """Places of defocus, ln of the f-number and ln of the scale, which follow nonlinear laws."""
-        return [self.defocus, self.values - 2, self.values - 1]
+        """Constant coefficients of defocus, ln of the f-number and ln of the scale, which follow nonlinear laws."""
+        rows = (self.defocus, self.values - 2, self.values - 1)
+        return [row * self.terms for row in rows]
+
+    @property
+    def _of_modes(self) -> slice:
+        """Coefficients of the modes."""
+        return slice(len(self.noll) * self.terms)
 
     @cached_property
     def _apparent(self) -> Bools:
@@ -287,9 +320,9 @@ class LensModel:
 
     @cached_property
     def _longer(self) -> Floats:
-        """(n, columns) derivatives of ln of the true over the stated wavelength."""
+        """(exposures, columns) derivatives of ln of the true over the stated wavelength."""
         light = np.array([column.kind == WAVELENGTH for column in self.columns])
-        return np.asarray(self._map[1][:, self.values - 2] * light)
+        return np.asarray(self._map[1][:, self._law_rows[1]] * light)
 
     def _widened(self, column: Column) -> Column:
         """Return the column, with the error of a mistake if the laws call its number mistaken."""
@@ -345,38 +378,50 @@ class LensModel:
 
     @cached_property
     def _map(self) -> tuple[Floats, Floats, Floats]:
-        """Linear map from parameters to the values without the laws, followed by the six arguments of the laws.
+        """Linear map from parameters to the coefficients without the laws, followed by the six arguments of the laws.
 
         The arguments are f, N, ln mp, true range, best focus of the channel, best focus of the reference.
 
         Returns
         -------
-        (n, values + 6) for parameters that are 0; derivatives (n, values + 6, columns), (n, values + 6, local columns)
+        (exposures, values x terms + 6) for parameters that are 0; derivatives of these by the columns and by the local columns
         """
-        n = len(self.readings)
-        rows = self.values + 6
-        true_range = self.values + 3
-        offset = np.zeros((n, rows))
-        offset[:, true_range] = [reading.range_mm for reading in self.readings]
+        size = self.values * self.terms
+        true_range = size + 3
+        exposed = self._exposed
+        offset = np.zeros((len(exposed), size + 6))
+        offset[:, true_range] = [reading.range_mm for reading in exposed]
         by_channel = {channel: self._channel_map(channel) for channel in self.channels}
-        common = np.array([by_channel[r.key.channel] for r in self.readings])
-        for k, reading in enumerate(self.readings):
+        common = np.array([by_channel[reading.key.channel] for reading in exposed])
+        for k, reading in enumerate(exposed):
             common[k, true_range, self.index(STEPS_LABEL, reading.station)] = 1.0
             for homing, times in Counter(reading.homings).items():
                 if (column := self._places.get((HOMING_LABEL, (homing,)))) is not None:
                     common[k, true_range, column] = times / len(reading.homings)
-        own = np.zeros((n, rows, len(self.local_columns)))
-        places = np.array([reading.place for reading in self.readings])
-        common[:, : self.values] += design(self.columns, places, self.noll, self.values)
-        stations = [reading.station for reading in self.readings]
-        common[:, self.values - 1] += station_design(self.columns, places, stations)
-        own[:, : self.values] = design(self.local_columns, places, self.noll, self.values)
+        for at, tilt in enumerate(self.columns):
+            if tilt.kind == FIELD_TILT:
+                elsewhere = [reading.station != tilt.name[0] for reading in exposed]
+                common[elsewhere, :, at] = 0.0
+        own = np.zeros((len(exposed), size + 6, len(self.local_columns)))
+        for row, at in self._coefficients_of(self.local_columns):
+            own[:, row, at] = 1.0
         return offset, common, own
 
+    def _coefficients_of(self, columns: Sequence[Column]) -> Iterator[tuple[int, int]]:
+        """Yield each coefficient to which a column adds, with the column's place."""
+        for at, column in enumerate(columns):
+            row = coefficient(column, self.field_order, self.noll, self.values)
+            if row is not None:
+                yield row, at
+
     def _channel_map(self, channel: str) -> Floats:
-        """Return derivatives (values + 6, columns) that all observations of a channel have in common."""
-        cone, scale, first, true_range = (self.values + k for k in (-2, -1, 0, 3))
-        rows = np.zeros((self.values + 6, len(self.columns)))
+        """Return derivatives (values x terms + 6, columns) that all exposures of a channel have in common."""
+        size = self.values * self.terms
+        cone, scale = self._law_rows[1:]
+        first, true_range = size, size + 3
+        rows = np.zeros((size + 6, len(self.columns)))
+        for row, at in self._coefficients_of(self.columns):
+            rows[row, at] = 1.0
         entries: list[tuple[int | list[int], Place]] = [
             (cone, (WORKING_F_NUMBER, ())),
             (scale, (SIZE, ())),
@@ -388,18 +433,21 @@ class LensModel:
             ([true_range, true_range + 1, true_range + 2], (RANGE_ZERO, ())),
         ]
         for row, j in enumerate(self.noll):
-            entries += [(row, (COMMON_MODE, (j,))), (row, (MODE, (channel, j)))]
+            constant = row * self.terms
+            entries.append((constant, (COMMON_MODE, (j,))))
+            entries.append((constant, (MODE, (channel, j))))
         for row, label in enumerate(self.parts, len(self.noll)):
-            entries.append((row, (PART, self.of_channel(label, channel))))
-        for at, place in entries:  # sessions have only some of these columns
+            number = (PART, self.of_channel(label, channel))
+            entries.append((row * self.terms, number))
+        for constants, place in entries:  # sessions have only some of these columns
             if (column := self._places.get(place)) is not None:
-                rows[at, column] = 1.0
+                rows[constants, column] = 1.0
         rows[true_range + 1] += self.best_focus(channel)
         rows[true_range + 2] += self.best_focus(self.reference)
         return rows
 
     def _sums(self, theta: Floats, local: Floats) -> Floats:
-        """Return values without the laws, and the laws' arguments, (n, values + 6)."""
+        """Return coefficients without the laws, and the laws' arguments, (exposures, values x terms + 6)."""
         offset, common, own = self._map
         return np.asarray(
             offset + common @ theta + np.einsum("nrl,nl->nr", own, local[self.blocks])

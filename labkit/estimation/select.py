@@ -39,6 +39,12 @@ from labkit.types import Bools, Floats, Indices
 
 OUT = -1
 
+UNFINISHED = SETTINGS.converged_stds**2
+"""Log-likelihood that climbs of the selection may leave, twice over: the chosen lens is fitted again, to its end."""
+
+SAME_MISFIT = 1e-9
+"""Difference of misfits by rounding: of signs that fit alike, the first are chosen."""
+
 
 @dataclass(frozen=True)
 class Options:
@@ -154,7 +160,8 @@ class _Choices:
         self, choice: Indices, members: Bools, start: Point | None = None
     ) -> tuple[LensFit, float]:
         """Estimate the lens of a choice; return the lens and the penalised log-likelihood."""
-        lens = fit_lens(self.model, self.measured(choice, members), start)
+        measured = self.measured(choice, members)
+        lens = fit_lens(self.model, measured, start, SETTINGS.converged_stds)
         n = np.flatnonzero(members)
         gained = float(
             self.options.gain[n, choice[n]].sum()
@@ -192,8 +199,8 @@ class _Choices:
                 changed[places] = np.where(inside[places], wanted[places], choice[places])
                 if not inside.any():
                     continue
-                trial, reached = self.fit(changed, inside, lens.solved.point)
-                if reached > value + 1e-6:
+                trial, reached = self.fit(changed, inside, start)
+                if reached > value + UNFINISHED:
                     choice = changed
                     members = inside
                     lens = trial
@@ -398,63 +405,60 @@ def _started(choices: _Choices) -> tuple[Indices, Bools]:
     fitted = choices.options.fitted
     groups = choices.model.groups
     choice = np.where(fitted, np.argmax(choices.options.gain, axis=1), OUT)
-    known = np.zeros(len(fitted), bool)
     every = [np.flatnonzero(fitted & (groups == one)) for one in np.unique(groups[fitted])]
+    known = list[Floats]()
     for places in sorted(every, key=lambda part: -part.size):
-        choice[places] += _signs(choices, places, choice, known)
-        known[places] = True
+        like = np.median(known, axis=0) if known else None
+        choice[places] += _signs(choices, places, choice, like)
+        values = choices.options.values[places, choice[places]]
+        known.append(np.median(values, axis=0))
     return choice, fitted
 
 
-def _signs(choices: _Choices, places: Indices, choice: Indices, known: Bools) -> Indices:
+def _signs(
+    choices: _Choices, places: Indices, choice: Indices, like: Floats | None
+) -> Indices:
     """Choose signs, (m,), of one group's observations: 0 for the candidate, 1 for its twin.
 
     Over range, defocus changes from negative to positive once: the first k of m ranges are negative. Every k is compared
-    with the slope of defocus over range, with constancy of the other modes, and with the modes of known observations.
+    with the slope of defocus over range, with constancy of the other modes, and with `like`, the usual values of other groups.
     """
     model = choices.model
     ranges = np.array([choices.observed[k].reading.range_mm for k in places])
-    order = np.argsort(ranges, kind="stable")
     both = choices.options.values[
         places[:, None], choice[places][:, None] + [0, 1]
     ]  # each candidate and its twin
-    positive: Indices = (both[:, 0, model.defocus] < 0).astype(np.intp)
-    modes = choices.options.values[known, choice[known], : len(model.noll)]
-    like = np.median(modes, axis=0) if known.any() else None
-    best = positive
-    least = np.inf
-    for negative in range(len(places) + 1):
-        turned = positive.copy()
-        turned[order[:negative]] = 1 - positive[order[:negative]]
-        values = both[np.arange(len(places)), turned]
-        cost = _misfit(model, ranges, values, like)
-        if cost < least - 1e-9:
-            best = turned
-            least = cost
-    return best
+    positive = both[:, 0, model.defocus] < 0
+    rank = np.argsort(np.argsort(ranges, kind="stable"))
+    signs = np.asarray(
+        positive ^ (rank < np.arange(len(places) + 1)[:, None]), np.intp
+    )  # (k, m)
+    costs = _misfits(model, ranges, both[np.arange(len(places)), signs], like)
+    return np.asarray(signs[np.flatnonzero(costs < costs.min() + SAME_MISFIT)[0]])
 
 
-def _misfit(model: LensModel, ranges: Floats, values: Floats, like: Floats | None) -> float:
-    """Return an approximate chi2 of a group's values (m, values) under the law of defocus and constant other modes.
+def _misfits(
+    model: LensModel, ranges: Floats, values: Floats, like: Floats | None
+) -> Floats:
+    """Return an approximate chi2 (k,) of a group's values (k, m, values) under the law of defocus and constant other modes.
 
     Large misfits count by their logarithm, as in Student's t (K. L. Lange et al., J. Am. Stat. Assoc. 84, 881 (1989)): one
     wrong optimum must not decide the signs of all others.
     """
-    focus = crossing(ranges, values[:, model.defocus], model)
+    focus = crossing(ranges, values[..., model.defocus], model)[:, None]
     focal_mm = model.stated.focal_length.value
     line = focus_slope(model) * (1 / (ranges - focal_mm) - 1 / (focus - focal_mm))
     rough = SETTINGS.mode_scatter_waves[0]
     slack = rough**2 + (0.1 * line) ** 2  # the slope is known to some 6 %
-    modes = np.delete(values[:, : len(model.noll)], model.defocus, axis=1)
-    cost = (values[:, model.defocus] - line) ** 2 / slack
-    cost += np.sum((modes - np.median(modes, axis=0)) ** 2, axis=1) / rough**2
+    upper = np.flatnonzero(np.arange(len(model.noll)) != model.defocus)
+    modes = values[..., upper]
+    cost = (values[..., model.defocus] - line) ** 2 / slack
+    cost += np.sum((modes - np.median(modes, axis=1)[:, None]) ** 2, axis=2) / rough**2
     if like is not None:
-        cost += (
-            np.sum((modes - np.delete(like, model.defocus)) ** 2, axis=1)
-            / SETTINGS.colour_modes_std**2
-        )
+        away = np.sum((modes - like[upper]) ** 2, axis=2)
+        cost += away / SETTINGS.colour_modes_std**2
     numbers = model.values
-    return float(numbers * np.sum(np.log1p(cost / numbers)))
+    return np.asarray(numbers * np.sum(np.log1p(cost / numbers), axis=1))
 
 
 def _open_signs(choices: _Choices, choice: Indices, members: Bools, value: float) -> Bools:

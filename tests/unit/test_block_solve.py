@@ -56,13 +56,13 @@ def stacked(fit: LensFit, unknowns: Floats) -> tuple[Floats, Floats]:
     model, measured = fit.model, fit.measured
     common, blocks, own = (
         len(model.columns),
-        int(model.blocks.max()) + 1,
+        len(model.channels),
         len(model.local_columns),
     )
     theta, local = unknowns[:common], unknowns[common:].reshape(blocks, own)
-    slopes, own_slopes = model.slopes(theta, local)
+    slopes, own_slopes = map(model.seen, model.slopes(theta, local))
     wide = np.zeros((*slopes.shape[:2], blocks, own))
-    wide[np.arange(len(slopes)), :, model.blocks] = own_slopes
+    wide[np.arange(len(slopes)), :, model.blocks[model.exposures]] = own_slopes
     whole = np.concatenate([slopes, wide.reshape(*slopes.shape[:2], -1)], axis=2)[
         measured.used
     ]
@@ -106,7 +106,8 @@ def test_the_estimate_is_that_of_a_dense_least_squares(tiles: Tiles) -> None:
     # its climb ends within 1e-4; rounding of the misfits adds 2.8e-4 at most over forty starts (tiles' weakest combination)
     assert np.abs(off).max() < 4e-4
     misfits = stacked(fit, wanted)[1]
-    assert fit.chi2 == pytest.approx(misfits @ misfits, rel=1e-9)
+    # rounding of an information that two tiles of three leave singular
+    assert fit.chi2 == pytest.approx(misfits @ misfits, rel=1e-8)
 
 
 @KINDS
@@ -132,8 +133,12 @@ def test_the_covariance_of_a_prediction_is_that_of_the_dense_equations(
     """Of an observation that is left out: of all columns together, and the scatter of the laws."""
     fit = fit_lens(*sampled(tiles))
     common, own = len(fit.theta), len(fit.model.local_columns)
-    places = [*range(common), *(common + fit.model.blocks[OUT] * own + np.arange(own))]
-    whole = np.concatenate([fit.solved.slopes[OUT], fit.solved.own_slopes[OUT]], axis=1)
+    places = [
+        *range(common),
+        *(common + fit.model.blocks[fit.model.exposures[OUT]] * own + np.arange(own)),
+    ]
+    every = np.concatenate([fit.solved.slopes, fit.solved.own_slopes], axis=2)
+    whole = fit.model.seen(every)[OUT]
     expected = whole @ dense_covariance(fit)[np.ix_(places, places)] @ whole.T + np.diag(
         fit.model.scatter()
     )
@@ -234,7 +239,7 @@ def test_an_estimate_at_a_bound_is_the_likeliest_within_it() -> None:
 
 def test_an_estimate_does_not_depend_on_where_it_starts() -> None:
     model, of = sampled()
-    data = Data.of(of.values, of.covariance + np.diag(model.scatter()), of.used)
+    data = Data.of(model, of.values, of.covariance + np.diag(model.scatter()), of.used)
     start = first_point(model, of)
     ends = []
     for away in (-20.0, 0.0, 40.0):

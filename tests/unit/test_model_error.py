@@ -69,7 +69,9 @@ def test_all_that_a_fit_measures_counts_as_moved(plain: Estimate) -> None:
     assert plain.lens is not None
     biased = with_model_error(replace(plain, with_missing=tuple(fuller))).lens
     solved = plain.lens.solved
-    wanted, _ = solved.normal.solve(*solved.pulls(np.array([moves, moves])))
+    wanted, _ = solved.normal.solve(
+        *solved.pulls(solved.data.pulled(np.array([moves, moves])))
+    )
     assert biased is not None
     assert biased.bias is not None
     std = np.sqrt(np.diag(plain.lens.errors))
