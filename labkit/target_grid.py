@@ -1,10 +1,14 @@
-"""A grid of equal targets that fills a frame: the plane between the targets is their surround."""
+"""A grid of equal targets that fills a frame: the plane between the targets is their surround.
+
+ArUco marks between the targets name the places in the grid and show its directions.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -12,8 +16,22 @@ from labkit.arrays import real_array
 from labkit.errors import TargetError
 from labkit.plan import TargetSpec
 from labkit.target import CellTarget, Target, low_pass, open_target, read_spec
-from labkit.target_marks import MARK_MODULES, MOST_MARKS, mark_cells
 from labkit.types import Floats
+
+MARK_MODULES = 6
+"""Modules along a side of a mark: four bits and the rim."""
+
+MOST_MARKS = 1000
+"""Number of marks in the dictionary."""
+
+DICTIONARY = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_1000)
+
+
+def mark_cells(number: int, *, on_dark: bool) -> Floats:
+    """Return the modules (6, 6) of a mark: 1 is light, 0 dark."""
+    drawn = DICTIONARY.generateImageMarker(number, MARK_MODULES, borderBits=1) > 0
+    return np.asarray(drawn != on_dark, dtype=np.float64)
+
 
 Place = tuple[int, int]
 """(row, column) of a target in a grid, from 0."""

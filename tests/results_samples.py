@@ -22,10 +22,15 @@ from labkit.results import (
     Results,
     Wavefront,
 )
-from labkit.results.common import CommonNumbers, StatedNumber
 from labkit.results.geometry import Distortion, ImageGeometry, LateralColour
 from labkit.results.made_from import MadeFrom
-from labkit.results.model import OtherOptimum, PartTried, ResidualSpectrum
+from labkit.results.model import (
+    CommonNumbers,
+    OtherOptimum,
+    PartTried,
+    ResidualSpectrum,
+    StatedNumber,
+)
 from labkit.uncertain import Uncertain
 from tests.field_samples import a_field
 from tests.plans import PORTRAIT, plan_text

@@ -15,8 +15,7 @@ from labkit.panel.panels import PANELS
 from labkit.plan import Plan
 from labkit.plan.fields import what_it_takes
 from labkit.plan.tables import NEEDED_BY_KIND
-from labkit.spectra import LIGHT_KINDS, TYPICAL, channel_light
-from labkit.spectra.tables import COLOURS
+from labkit.spectra import COLOURS, LIGHT_KINDS, TYPICAL, channel_light
 
 UNITS = {"mm": "mm", "um": "µm", "nm": "nm", "px": "pixels", "s": "s", "deg": "degrees"}
 """What the last part of a key stands for."""

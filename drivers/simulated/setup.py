@@ -25,7 +25,7 @@ from labkit.drivers.simulated.world import (
 )
 from labkit.errors import PlanError
 from labkit.pace import in_words
-from labkit.panel.panel_info import PanelInfo
+from labkit.panel import PanelInfo
 from labkit.panel.panels import paper_panel, plan_panel
 from labkit.panel.picture import panel_picture
 from labkit.plan import Plan, RailSettings, TargetSpec

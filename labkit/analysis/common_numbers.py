@@ -22,7 +22,7 @@ from labkit.estimation.laws import (
 from labkit.estimation.lens_fit import LensFit
 from labkit.optics.known_bias import covariance_with_bias
 from labkit.optics.wavefront import DEFOCUS
-from labkit.results.common import (
+from labkit.results.model import (
     BEST_FOCUS_MM,
     COLOUR_UM,
     F_NUMBER_AT_INFINITY,

@@ -57,10 +57,9 @@ from labkit.plan import Plan
 from labkit.results import Results
 from labkit.results.made_from import MadeFrom
 from labkit.results.storage import kept_keys, set_aside_corrupt
-from labkit.session.body_filters import with_body_filters
+from labkit.session.completed_plan import with_body_filters, with_shown_size
 from labkit.session.fit_lock import fitted_alone
 from labkit.session.session import Session
-from labkit.session.shown_size import with_shown_size
 from labkit.session.stated import contradictions
 from labkit.session.verify import altered as altered_files
 from labkit.session.verify import as_error, unused

@@ -30,11 +30,11 @@ from labkit.finder.cut import (
     cut_within,
     sees_no_neighbour,
     sees_target_only,
+    surround_level,
 )
 from labkit.finder.find_target import find_target, grey_image
 from labkit.finder.lattice import find_tiles
 from labkit.finder.plausibility import Sight, refuse_contradictions
-from labkit.finder.surround import surround_level
 from labkit.findings import Finding, at_range, each_once, found
 from labkit.imaging.brightness import Brightness
 from labkit.imaging.warp import Pose

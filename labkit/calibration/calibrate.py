@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labkit.calibration.darks import dark_findings, reduce_darks
-from labkit.calibration.falloff import Falloff
-from labkit.calibration.flats import flat_findings, pixel_response, reduce_flats
+from labkit.calibration.flats import Falloff, flat_findings, pixel_response, reduce_flats
 from labkit.calibration.photon_transfer import NoiseEstimate, photon_transfer
 from labkit.calibration.stack import read_stack
 from labkit.calibration.stated_noise import UNMEASURED, noise_findings, with_stated

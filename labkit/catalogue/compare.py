@@ -21,7 +21,7 @@ from labkit.optics.metrics import rms
 from labkit.optics.wavefront import FittedWavefront
 from labkit.optics.zernike import is_even
 from labkit.results import Results
-from labkit.results.common import (
+from labkit.results.model import (
     BEST_FOCUS_MM,
     F_NUMBER_AT_INFINITY,
     FOCAL_LENGTH_MM,

@@ -1,20 +1,26 @@
-"""Groups of the command line, its global options, and arguments that several commands share."""
+"""Groups of the command line, its global options, and arguments and contexts that several commands share."""
 
 from __future__ import annotations
 
 import errno
 import os
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
+from labkit.cli.console import Console
 from labkit.errors import InputError, PlanError
 from labkit.session.journal import journal_in
 from labkit.version import __version__
+
+if TYPE_CHECKING:
+    from labkit.execute import Run
+
 
 # What a command needs is imported inside it: `labkit --help` and tab completion must not wait for SciPy.
 
@@ -188,3 +194,53 @@ def _is_there(path: Path) -> bool:
         return path.exists()
     except (OSError, ValueError):  # a name that no file can have: its reader says why
         return True
+
+
+Workers = Annotated[
+    int | None,
+    typer.Option(
+        min=1, metavar="N", help="Processes at once.", show_default="one for each core"
+    ),
+]
+Dask = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Fit on the workers of a Dask cluster: its scheduler's address, such as tcp://10.0.0.5:8786.",
+        show_default="this machine",
+    ),
+]
+AcceptFailed = Annotated[
+    bool,
+    typer.Option(
+        "--accept-failed", help="Accept results without the fits that failed as done."
+    ),
+]
+
+
+@contextmanager
+def cluster_or_none(address: str | None, workers: int | None) -> Iterator[Run | None]:
+    """Yield a run over the workers of a Dask cluster; None without an address. Raises InputError with --workers."""
+    if address is None:
+        yield None
+        return
+    if workers is not None:
+        raise InputError(
+            "--workers with --dask: the cluster has its own workers; leave out --workers"
+        )
+    from labkit.cluster import on_dask
+
+    with on_dask(address) as run:
+        yield run
+
+
+@contextmanager
+def kept_if_interrupted(console: Console) -> Iterator[None]:
+    """State after an interrupt that completed fits are kept."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        console.hint = (
+            "; fits that are done are kept, and the same command goes on from there"
+        )
+        raise

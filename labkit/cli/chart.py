@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from labkit.cli.app import a_file_or_plan, app
+from labkit.cli.app import Workers, a_file_or_plan, app
 from labkit.cli.console import Console
-from labkit.cli.running import Workers
 from labkit.errors import DataError
 
 if TYPE_CHECKING:

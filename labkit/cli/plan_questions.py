@@ -20,8 +20,7 @@ from labkit.plan.messages import message, plain_number
 from labkit.plan.tables import BY_HAND, NEEDED_BY_KIND
 from labkit.plan.text import write_tables
 from labkit.session.draft_plan import FILL_IN, Row, draft_tables
-from labkit.spectra import LIGHT_KINDS
-from labkit.spectra.tables import COLOURS
+from labkit.spectra import COLOURS, LIGHT_KINDS
 from labkit.target_grid import whole_target
 
 Ask = Callable[[str, Callable[[str], Any], str], Any]

@@ -7,15 +7,15 @@ from typing import Annotated
 
 import typer
 
-from labkit.cli.app import app
-from labkit.cli.console import Console
-from labkit.cli.running import (
+from labkit.cli.app import (
     AcceptFailed,
     Dask,
     Workers,
+    app,
     cluster_or_none,
     kept_if_interrupted,
 )
+from labkit.cli.console import Console
 from labkit.errors import LabkitError
 
 

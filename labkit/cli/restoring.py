@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from labkit.cli.app import a_file_or_session, app
+from labkit.cli.app import Workers, a_file_or_session, app
 from labkit.cli.console import Console
-from labkit.cli.running import Workers
 from labkit.errors import DataError
 
 if TYPE_CHECKING:

@@ -10,23 +10,21 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from labkit.cli.app import (
+    AcceptFailed,
+    Dask,
     PlanPath,
     SessionPath,
+    Workers,
     a_file,
     a_plan,
     a_session,
     app,
     channels,
+    cluster_or_none,
+    kept_if_interrupted,
     studies,
 )
 from labkit.cli.console import Console
-from labkit.cli.running import (
-    AcceptFailed,
-    Dask,
-    Workers,
-    cluster_or_none,
-    kept_if_interrupted,
-)
 from labkit.errors import DataError, LabkitError
 
 if TYPE_CHECKING:

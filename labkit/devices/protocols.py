@@ -19,7 +19,7 @@ from typing import Any, Literal, Protocol, Self, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from labkit.panel.panel_info import PanelInfo as PanelInfo
+from labkit.panel import PanelInfo as PanelInfo
 
 Picture = Literal["white", "black"] | NDArray[np.uint8]
 """What a display shows: all of the panel in one grey, or grey values of panel pixels, centred, black around them."""

@@ -1,4 +1,4 @@
-"""Select the part of a photograph with the target, and the pixels that see nothing else."""
+"""Select the part of a photograph with the target, and measure the radiance of the target's surround."""
 
 from __future__ import annotations
 
@@ -24,6 +24,9 @@ INSET = 0.04
 
 INSET_PX = 4
 """The same, at least."""
+
+DARK_PERCENT, LIGHT_PERCENT = 5, 95
+"""Percentiles of a target's pixels that are its black and its white."""
 
 
 def cut_within(corners: Sequence[Floats], shape: tuple[int, ...]) -> Cut:
@@ -73,3 +76,32 @@ def sees_target_only(pose: Pose, shape: tuple[int, ...]) -> Bools:
         borderType=cv2.BORDER_REPLICATE,
     )
     return np.asarray(eroded[1:-1, 1:-1] > 0)
+
+
+def surround_level(light: Floats, used: Bools, pose: Pose) -> float | None:
+    """Return the surround's relative radiance.
+
+    Parameters
+    ----------
+    light : (rows, columns), counts over relative illumination
+    used : (rows, columns) mask of the usable pixels
+    pose : of the target in these rows and columns
+
+    Returns
+    -------
+    0 for the target's black, 1 for its white; None if no pixel sees the surround, or the
+    target has no contrast
+    """
+    corners = pose.corners_px()
+    inside = outline(corners, light.shape)
+    # half of the margin that is kept: the blur of the target's edge is left out
+    gap = round(max(MARGIN_PX, MARGIN * np.ptp(corners, axis=0).max()) / 2)
+    near = cv2.dilate(inside, np.ones((2 * gap + 1, 2 * gap + 1), np.uint8))
+    target = light[(inside > 0) & used]
+    around = light[(near == 0) & used]
+    if not (target.size and around.size):
+        return None
+    dark, bright = np.percentile(target, (DARK_PERCENT, LIGHT_PERCENT))
+    if bright <= dark:
+        return None
+    return float((np.median(around) - dark) / (bright - dark))

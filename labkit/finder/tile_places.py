@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from labkit.errors import TargetError
 from labkit.finder.registration import OWN_CORNERS, homography
-from labkit.target_grid import Place, TargetGrid
-from labkit.target_marks import MARK_MODULES
+from labkit.target_grid import MARK_MODULES, Place, TargetGrid
 from labkit.types import Floats
 
 Singles = NDArray[np.float32]

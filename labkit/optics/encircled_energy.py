@@ -16,8 +16,8 @@ from scipy.optimize import brentq
 from scipy.special import j0, j1
 
 from labkit.arrays import real_array
+from labkit.optics.known_bias import in_any_light
 from labkit.optics.mtf import steepness, transfer_function
-from labkit.optics.unknown_light import in_any_light
 from labkit.optics.wavefront import FittedWavefront, modes_at
 from labkit.optics.zernike import noll_to_nm
 from labkit.types import Floats

@@ -29,9 +29,9 @@ from scipy.optimize import brentq
 from scipy.special import comb
 
 from labkit.arrays import positive, real_array
+from labkit.optics.known_bias import in_any_light
 from labkit.optics.psf import ARC_SPACING, OUTLINE_REACH, diffraction_mtf, smooth_outline
 from labkit.optics.rim import ROUND_RIM, Rim
-from labkit.optics.unknown_light import in_any_light
 from labkit.optics.wavefront import FittedWavefront
 from labkit.optics.zernike import cartesian, nm_to_noll, noll_to_nm
 from labkit.types import Complexes, Floats

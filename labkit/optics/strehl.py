@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from labkit.optics.known_bias import in_any_light
 from labkit.optics.mtf import steepness
 from labkit.optics.psf import Pupil
 from labkit.optics.rim import Rim
-from labkit.optics.unknown_light import in_any_light
 from labkit.optics.wavefront import FittedWavefront, modes_at
 from labkit.types import Complexes, Floats
 from labkit.uncertain import Uncertain

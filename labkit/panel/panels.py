@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from labkit.errors import PlanError
-from labkit.panel.panel_info import PanelInfo
+from labkit.panel import PanelInfo
 from labkit.plan import DisplaySettings, Plan
 from labkit.target import CellTarget, Target
 from labkit.target_grid import TargetGrid

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labkit.errors import TargetError
-from labkit.panel.panel_info import PanelInfo
+from labkit.panel import PanelInfo
 from labkit.target import CellTarget, Target
 from labkit.target_grid import TargetGrid
 from labkit.types import Floats

@@ -13,8 +13,7 @@ from labkit.apart import run_apart
 from labkit.errors import InputError, RawError, shown
 from labkit.files import refuse_special
 from labkit.photographs.exif import read_exif
-from labkit.photographs.jpeg import JPEG
-from labkit.photographs.picture_file import check_strips, format_of
+from labkit.photographs.picture_file import JPEG, check_strips, format_of
 
 OTHER_RAW = re.compile(
     rb"IIRO|IIRS|MMOR|IIU\0"  # Olympus, Panasonic

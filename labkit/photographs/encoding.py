@@ -12,8 +12,7 @@ import numpy as np
 import tifffile
 
 from labkit.errors import InputError
-from labkit.photographs.jpeg import JPEG, read_header
-from labkit.photographs.picture_file import PNG, format_of, png_chunks
+from labkit.photographs.picture_file import JPEG, PNG, format_of, png_chunks, read_header
 from labkit.types import Floats
 
 MOST_PROFILE_BYTES = 2**24

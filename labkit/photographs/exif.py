@@ -15,8 +15,7 @@ from PIL.ExifTags import IFD, Base
 
 from labkit.apart import run_apart
 from labkit.errors import InputError
-from labkit.photographs.jpeg import JPEG, read_header
-from labkit.photographs.picture_file import PNG, TIFF, png_chunks
+from labkit.photographs.picture_file import JPEG, PNG, TIFF, png_chunks, read_header
 
 UNIT_UM = {2: 25_400.0, 3: 10_000.0, 4: 1000.0, 5: 1.0}
 """Of FocalPlaneResolutionUnit."""

@@ -10,8 +10,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from labkit.plan.fields import Allowed, Name, Number, Takes, one_of, or_fit, problem
 from labkit.plan.table import Error, Table, refuse_larger, stated
-from labkit.spectra import LIGHT_KINDS, TYPICAL, ChannelLight, channel_light
-from labkit.spectra.tables import COLOURS
+from labkit.spectra import COLOURS, LIGHT_KINDS, TYPICAL, ChannelLight, channel_light
 from labkit.uncertain import Uncertain
 
 FILTER_WAVELENGTH = 0.005

@@ -9,10 +9,16 @@ import numpy as np
 
 from labkit.figure_style import channel_inks
 from labkit.optics.wavefront import DEFOCUS
-from labkit.report.camera_table import light_table, missing_words, part_table, tried_table
-from labkit.report.cards import Card, Number, number_of, signed
 from labkit.report.curves import MTF_DIRECTIONS, ChannelFocus, Curves, full_nyquist_per_mm
-from labkit.report.fit_tables import fit_table, method_table, residual_table
+from labkit.report.fit_tables import (
+    fit_table,
+    light_table,
+    method_table,
+    missing_words,
+    part_table,
+    residual_table,
+    tried_table,
+)
 from labkit.report.lens_tables import (
     SOURCES,
     budget_table,
@@ -25,8 +31,12 @@ from labkit.report.lens_tables import (
 )
 from labkit.report.photographs import Photographs, off_centre, photograph_table, place_table
 from labkit.report.table import (
+    Card,
+    Number,
     fixed,
     millimetres,
+    number_of,
+    signed,
 )
 from labkit.report.tiles import tiles_of
 from labkit.results import ColourShift, Results, Wavefront

@@ -21,6 +21,7 @@ from labkit.key import Key
 from labkit.optics.rim import ROUND
 from labkit.optics.spectrum import Spectrum
 from labkit.plan import Plan
+from labkit.results.entries import Common, KeptRim, LensEntry
 from labkit.results.field_entry import FieldEntry
 from labkit.results.kept import (
     Corners,
@@ -54,7 +55,6 @@ from labkit.results.kept import (
     table,
     uncertain,
 )
-from labkit.results.lens_entry import Common, LensEntry
 from labkit.results.made_from import RecordOfInputs
 from labkit.results.model import (
     Focus,
@@ -66,7 +66,6 @@ from labkit.results.model import (
     ResidualSpectrum,
     Wavefront,
 )
-from labkit.results.pupil_entry import KeptRim
 from labkit.results.verdicts import confirmed
 from labkit.types import Floats
 from labkit.uncertain import Uncertain

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labkit.calibration.falloff import Falloff
+from labkit.calibration.flats import Falloff
 from labkit.imaging.brightness import SHARE_STD, Brightness
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.warp import Pose

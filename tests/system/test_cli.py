@@ -15,13 +15,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labkit import __version__
 from labkit.cli import run
 from labkit.drivers.simulated import setup as bench_setup
 from labkit.drivers.simulated.camera import SimulatedCamera
 from labkit.drivers.simulated.world import BenchSettings
 from labkit.errors import CameraError
 from labkit.session.session import Session
+from labkit.version import __version__
 from tests.plans import IPAD, PORTRAIT, SMALL, plan_text, simulated
 
 WriteDng = Callable[..., Path]

@@ -7,7 +7,7 @@ import pytest
 
 from labkit.photographs.container import Container
 from labkit.plan import Plan
-from labkit.session.body_filters import with_body_filters
+from labkit.session.completed_plan import with_body_filters
 from labkit.session.session import Session
 from labkit.spectra import TYPICAL, channel_light
 from tests.conftest import WriteDng
@@ -32,7 +32,7 @@ def session(tmp_path_factory: pytest.TempPathFactory, write_dng: WriteDng) -> Se
 
 def taken_with(camera: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        "labkit.session.body_filters.recognise", lambda _: Container("raw", camera)
+        "labkit.session.completed_plan.recognise", lambda _: Container("raw", camera)
     )
 
 

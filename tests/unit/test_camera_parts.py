@@ -34,7 +34,7 @@ from labkit.imaging.parts import (
 from labkit.imaging.parts.rim import USUAL_SHARE
 from labkit.optics.spectrum import Spectrum
 from labkit.plan import Channel, Plan
-from labkit.report.camera_table import part_table
+from labkit.report.fit_tables import part_table
 from labkit.types import AnyFloats
 from labkit.uncertain import Uncertain
 from tests.plans import PORTRAIT, RED_AND_GREEN

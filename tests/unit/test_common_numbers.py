@@ -13,7 +13,7 @@ from labkit.catalogue.compare import Comparison, compare_results
 from labkit.estimation.estimate import Estimate
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import Stated
-from labkit.results.common import CommonNumbers
+from labkit.results.model import CommonNumbers
 from labkit.uncertain import Uncertain
 from tests.lens_samples import laws as true_laws
 from tests.lens_samples import lens_of, measured, observed, stated

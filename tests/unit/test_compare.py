@@ -13,7 +13,7 @@ from labkit.catalogue.pictures import comparison_picture
 from labkit.errors import DataError
 from labkit.optics.metrics import opd_map
 from labkit.results import Results
-from labkit.results.common import CommonNumbers, StatedNumber
+from labkit.results.model import CommonNumbers, StatedNumber
 from labkit.types import Floats
 from tests.results_samples import PLAN, a_wavefront, some_results
 

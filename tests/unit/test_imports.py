@@ -14,7 +14,7 @@ LAYERS = {
         *("types", "errors", "key", "mode_groups", "pace", "uncertain", "version"),
         *("finding_texts", "findings", "files", "arrays", "npz", "typed_file", "apart"),
         *("sharing", "numerics", "processes", "execute", "cluster", "figure_style"),
-        *("spectra", "plan", "target", "target_marks", "target_grid", "target_file"),
+        *("spectra", "plan", "target", "target_grid", "target_file"),
     ],
     "model": ["optics", "panel", "imaging"],
     "material": [

@@ -19,8 +19,8 @@ from labkit.estimation.likelihood import Detector, FrameData, predict
 from labkit.photographs.decoding import read_photograph
 from labkit.photographs.encoding import Encoding, profile_curves, srgb
 from labkit.photographs.exposure import exposure_problem
-from labkit.photographs.jpeg import read_header
 from labkit.photographs.photograph import Photograph
+from labkit.photographs.picture_file import read_header
 from labkit.photographs.tone_curve import stated_curve
 from labkit.plan import Sensor
 from labkit.session.frame import Frame

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labkit.report.cards import Card
 from labkit.report.contents import answer
 from labkit.report.curves import at_best_focus
 from labkit.report.html import write_report
 from labkit.report.photographs import Photographs, place_table
+from labkit.report.table import Card
 from labkit.results import Placement, Results
 from tests.results_samples import FOCUS, a_wavefront, some_results, written
 

@@ -6,8 +6,8 @@ import pytest
 
 from labkit.errors import SessionError
 from labkit.plan import Plan
+from labkit.session.completed_plan import with_shown_size
 from labkit.session.session import Session
-from labkit.session.shown_size import with_shown_size
 from tests.plans import PORTRAIT, plan_text
 
 TEXT = plan_text(PORTRAIT, {"target": {"order": 5, "size_mm": 46.8}})

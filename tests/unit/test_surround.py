@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from labkit.finder.surround import surround_level
+from labkit.finder.cut import surround_level
 from labkit.imaging.warp import Pose
 from labkit.types import Floats
 

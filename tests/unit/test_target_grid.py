@@ -12,7 +12,7 @@ from PIL import Image
 from labkit.errors import PlanError, TargetError
 from labkit.finder.cut import sees_no_neighbour
 from labkit.imaging.warp import Pose
-from labkit.panel.panel_info import PanelInfo
+from labkit.panel import PanelInfo
 from labkit.panel.picture import panel_picture
 from labkit.plan import Plan, TargetSpec
 from labkit.target import CellTarget, open_target

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from math import isfinite
 
 from labkit.field.terms import LensTerms
-from labkit.report.cards import Card, Number, number_of, signed
-from labkit.report.table import fixed
+from labkit.report.table import Card, Number, fixed, number_of, signed
 from labkit.uncertain import Uncertain
 
 

@@ -26,7 +26,6 @@ from labkit.field.turned import planned_screws
 from labkit.figure_style import HALF_IN, Ink
 from labkit.optics.field import FieldModel
 from labkit.plan import leading_channel
-from labkit.report.cards import Card
 from labkit.report.field.cards import field_cards
 from labkit.report.field.files import Rows, field_files
 from labkit.report.field.geometry_charts import (
@@ -84,7 +83,7 @@ from labkit.report.field.tile_charts import (
 )
 from labkit.report.photographs import Photographs
 from labkit.report.pictures import Panel, Plate, drawing, picture
-from labkit.report.table import Table, millimetres
+from labkit.report.table import Card, Table, millimetres
 from labkit.report.tiles import mean_place_px
 from labkit.results import Results, Wavefront
 from labkit.types import Floats
