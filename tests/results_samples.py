@@ -22,8 +22,8 @@ from labkit.results import (
     Results,
     Wavefront,
 )
+from labkit.results.entries import MadeFrom
 from labkit.results.geometry import Distortion, ImageGeometry, LateralColour
-from labkit.results.made_from import MadeFrom
 from labkit.results.model import (
     CommonNumbers,
     OtherOptimum,

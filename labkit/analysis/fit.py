@@ -55,7 +55,7 @@ from labkit.panel.seen_pixels import (
 from labkit.panel.target_pixels import as_shown, pixels_per_cell
 from labkit.plan import Plan
 from labkit.results import Results
-from labkit.results.made_from import MadeFrom
+from labkit.results.entries import MadeFrom
 from labkit.results.storage import kept_keys, set_aside_corrupt
 from labkit.session.completed_plan import with_body_filters, with_shown_size
 from labkit.session.fit_lock import fitted_alone

@@ -11,7 +11,7 @@ import numpy as np
 
 from labkit.files import sha256_of
 from labkit.numerics import source_digest
-from labkit.results.made_from import MadeFrom
+from labkit.results.entries import MadeFrom
 from labkit.results.schema import Content
 from labkit.session.session import Session
 from labkit.session.stored_plan import PLAN_FILE

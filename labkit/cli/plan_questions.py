@@ -16,9 +16,8 @@ from labkit.errors import LabkitError, PlanError, shown
 from labkit.panel.panels import PANELS, panel_info
 from labkit.panel.picture import panel_picture
 from labkit.plan import DisplaySettings, Plan
-from labkit.plan.messages import message, plain_number
 from labkit.plan.tables import BY_HAND, NEEDED_BY_KIND
-from labkit.plan.text import write_tables
+from labkit.plan.text import message, plain_number, write_tables
 from labkit.session.draft_plan import FILL_IN, Row, draft_tables
 from labkit.spectra import COLOURS, LIGHT_KINDS
 from labkit.target_grid import whole_target

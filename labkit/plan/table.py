@@ -10,8 +10,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
 from labkit.errors import PlanError
 from labkit.plan.fields import Allowed, Number, problem
-from labkit.plan.messages import message
-from labkit.plan.text import plain
+from labkit.plan.text import message, plain
 from labkit.uncertain import Uncertain
 
 

@@ -18,8 +18,8 @@ from labkit.optics.field import FieldModel
 from labkit.optics.lens import ThinLens
 from labkit.plan import Plan
 from labkit.results import storage, tables, verdicts
+from labkit.results.entries import MadeFrom
 from labkit.results.geometry import ImageGeometry
-from labkit.results.made_from import MadeFrom
 from labkit.results.model import CommonNumbers, Focus, Lens, PartTried, Wavefront
 from labkit.results.tables import (
     ChannelSummary,

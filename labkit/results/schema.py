@@ -21,7 +21,7 @@ from labkit.key import Key
 from labkit.optics.rim import ROUND
 from labkit.optics.spectrum import Spectrum
 from labkit.plan import Plan
-from labkit.results.entries import Common, KeptRim, LensEntry
+from labkit.results.entries import Common, KeptRim, LensEntry, RecordOfInputs
 from labkit.results.field_entry import FieldEntry
 from labkit.results.kept import (
     Corners,
@@ -55,7 +55,6 @@ from labkit.results.kept import (
     table,
     uncertain,
 )
-from labkit.results.made_from import RecordOfInputs
 from labkit.results.model import (
     Focus,
     Lens,

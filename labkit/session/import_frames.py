@@ -21,8 +21,8 @@ from labkit.photographs.decoding import read_photograph
 from labkit.photographs.exposure import difference, exposure_problem
 from labkit.photographs.photograph import Photograph
 from labkit.plan import Plan
-from labkit.plan.messages import MOST_PROBLEMS, plain_number
 from labkit.plan.sensor import MONO
+from labkit.plan.text import MOST_PROBLEMS, plain_number
 from labkit.session.making import made_beside, refuse_existing
 from labkit.session.session import Session
 from labkit.session.stated import contradictions

@@ -23,7 +23,7 @@ from labkit.estimation.local import Found
 from labkit.estimation.local import find_optima as find
 from labkit.numerics import source_digest
 from labkit.results import Results
-from labkit.results.made_from import MadeFrom
+from labkit.results.entries import MadeFrom
 from labkit.results.storage import set_aside_corrupt
 from labkit.session.fit_lock import fitted_alone
 from labkit.session.session import Session

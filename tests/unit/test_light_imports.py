@@ -22,8 +22,8 @@ ESTIMATE = {
 FORWARD_MODEL = {"labkit.imaging.model", "labkit.imaging.blur", "labkit.imaging.scene"}
 """Of imaging a report needs what camera parts are called, and no pictures."""
 
-MOST_OF_A_REPORT = 95
-"""Number of labkit's modules that a report of results loads without a photograph at hand: 94."""
+MOST_OF_A_REPORT = 86
+"""Number of labkit's modules that a report of results loads without a photograph at hand: 85."""
 
 SEARCH = {
     "labkit.estimation.local",
