@@ -10,7 +10,7 @@ BIN := .venv/bin
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 PROCESSES := $(shell expr 3 \* $$(getconf _NPROCESSORS_ONLN) / 2)
 
-.PHONY: picture demo test fast coverage lowest chromium umockdev check types docs bench readme sony-raw clean
+.PHONY: picture field-picture demo test fast coverage lowest chromium umockdev check types docs bench readme sony-raw clean
 
 demo: .venv/installed
 	$(BIN)/labkit demo
@@ -66,6 +66,20 @@ picture: .venv/installed chromium
 	$(ONE_THREAD) $(BIN)/labkit demo --out build/demo
 	$$(command -v chromium || command -v chromium-browser || command -v google-chrome) --headless --no-sandbox --hide-scrollbars \
 		--window-size=1280,1440 --screenshot=docs/report.png build/demo/results/latest/report.html
+
+# The field guide's picture: the report of a simulated field, 2 × 3 carpets at two ranges.
+field-picture: .venv/installed chromium
+	rm -rf build/field build/field-session
+	mkdir -p build
+	$(ONE_THREAD) $(BIN)/python -m benchmarks.field_sessions build/field --ranges 1180 1260 --tile-px 144 --order 3
+	$(BIN)/labkit import build/field/frames.csv build/field/plan.toml build/field-session
+	$(ONE_THREAD) $(BIN)/labkit fit build/field-session
+	$(ONE_THREAD) $(BIN)/labkit report build/field-session
+	echo '<body style="margin:0"><iframe src="field-session/results/latest/report.html#field"' \
+		'style="width:1200px;height:1400px;border:0"></iframe>' > build/field.html
+	$$(command -v chromium || command -v chromium-browser || command -v google-chrome) --headless --no-sandbox --hide-scrollbars \
+		--window-size=1200,1400 --screenshot=build/field.png build/field.html
+	$(BIN)/python -c 'from PIL import Image; Image.open("build/field.png").convert("RGB").quantize(256, method=2).save("docs/field.png", optimize=True)'
 
 types: .venv/installed-dev
 	$(BIN)/mypy src/labkit tests $(wildcard benchmarks/*.py examples/*.py docs/*.py docs/generators/*.py)

@@ -1,8 +1,8 @@
 """Sessions of a whole field on the simulated bench: a grid of carpets, several ranges, three colours.
 
-`python -m benchmarks.field_sessions FOLDER [--grid 3 4] [--ranges 1180 1206 1232 1258]` writes the photographs, frames.csv and
-plan.toml for `labkit import`, and truth.json beside them. By default the session is like `golden/field-open`: 35 mm f/4, 2 × 3
-tiles of 256 pixels.
+`python -m benchmarks.field_sessions FOLDER [--grid 3 4] [--ranges 1180 1206 1232 1258] [--tile-px 144 --order 3]` writes the
+photographs, frames.csv and plan.toml for `labkit import`, and truth.json beside them. By default the session is like
+`golden/field-open`: 35 mm f/4, 2 × 3 tiles of 256 pixels.
 """
 
 from __future__ import annotations
@@ -226,10 +226,17 @@ def main() -> None:
     parser.add_argument("--ranges", type=float, nargs="+", default=RANGES_MM)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--patch-px", type=float, default=0.0)
+    parser.add_argument("--tile-px", type=int, default=TILE_PX)
+    parser.add_argument("--order", type=int, default=ORDER)
     asked = parser.parse_args()
     rows, cols = asked.grid
     session = field_session(
-        (rows, cols), tuple(asked.ranges), seed=asked.seed, patch_px=asked.patch_px
+        (rows, cols),
+        tuple(asked.ranges),
+        seed=asked.seed,
+        tile_px=asked.tile_px,
+        patch_px=asked.patch_px,
+        order=asked.order,
     )
     make(session, asked.folder)
 

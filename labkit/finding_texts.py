@@ -58,6 +58,9 @@ TEXTS = {
     ),
     "flats-of-another-range": "no flat frames{where}: those{taken} are taken instead",
     "flats-partly-unlit": "flat frames{where} leave {unlit:.0%} of the frame unlit: this part is not used",
+    "target-at-places": (
+        "the photographs show the target at {count} places of the frame: each is a tile of the field"
+    ),
     "tiles-not-found": (
         "{count} of {every} tiles are not found{at}, and left out: {named}; are they whole in the frame, lit and not covered?"
     ),

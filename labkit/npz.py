@@ -8,9 +8,9 @@ from __future__ import annotations
 import io
 import re
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from math import prod
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,14 @@ def packed(arrays: Mapping[str, NDArray[Any]], *, compressed: bool = True) -> by
     save = np.savez_compressed if compressed else np.savez
     save(buffer, allow_pickle=False, **arrays)
     return buffer.getvalue()
+
+
+def write(file: BinaryIO, arrays: Iterable[tuple[str, NDArray[Any]]]) -> None:
+    """Write an NPZ file, not compressed, of arrays by name; one array is in memory at a time."""
+    with zipfile.ZipFile(file, "w") as archive:
+        for name, array in arrays:
+            with archive.open(name + SUFFIX, "w", force_zip64=True) as entry:
+                np.lib.format.write_array(entry, array, allow_pickle=False)
 
 
 def unpacked(content: bytes, most_bytes: Callable[[str], int | None]) -> Arrays:

@@ -1,11 +1,12 @@
 """Prepare a session's frames for fits: calibrate, find the target, and cut to the target."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf
 
 import numpy as np
 
+from labkit.analysis.target_places import Places, of_one_place, places_in_frame
 from labkit.calibration.calibrate import (
     Calibration,
     ChannelData,
@@ -48,16 +49,19 @@ from labkit.session.frame import Frame, distinct
 from labkit.session.session import Session
 from labkit.target import Target, open_target
 from labkit.target_grid import open_grid
-from labkit.types import Floats, Progress, no_progress
+from labkit.types import Bools, Floats, Progress, no_progress
 
 LEAST_TARGET_PIXELS = 100  # usable ones on the target
+
+LEAST_BRIGHT_SHARE = 0.5
+"""Of the brighter pixels on a tile's target, that are usable: where white is clipped, little but black is left."""
 
 
 @dataclass(frozen=True)
 class _Shot:
     """A decoded photograph of the target, with the corners (4, 2) in pixels of every tile that was found.
 
-    A target that is whole has one tile, None.
+    A target that is whole has one tile: that of its place in the frame, or None.
     """
 
     frame: Frame
@@ -85,7 +89,8 @@ def observe(
 ) -> tuple[list[Observation], list[Finding]]:
     """Prepare observations of a session.
 
-    Each photograph is decoded once; photographs of one range are in memory at a time.
+    Photographs of one range and one place are in memory at a time. A single target is searched for in all photographs before,
+    where a range has several: it may be at several places of the frame.
 
     Parameters
     ----------
@@ -116,27 +121,22 @@ def observe(
     calibration = calibrate(photographs, plan)
     grid = open_grid(plan.target)
     clear_mm = None if grid is None else grid.clear_mm
+    places, at_places = _places(groups, plan, target, progress)
     observations: list[Observation] = []
-    findings = [*again, *calibration.findings]
-    for done, group in enumerate(groups):
-        progress(done, len(groups), "finding the target")
-        shots = [_locate(frame, plan, target) for frame in group]
+    findings = [*again, *calibration.findings, *at_places]
+    together = [one for group in groups for one in of_one_place(group, places)]
+    for done, group in enumerate(together):
+        progress(done, len(together), "finding the target")
+        shots = [_shot(frame, plan, target, places.get(frame.file)) for frame in group]
         regions, left_out = _regions(shots, plan)
         findings += left_out
+        order = min(map(frames.index, group))
         for name in channels:
             for region in regions:
-                try:
-                    of, assumed = _observation(
-                        calibration, target, shots, name, region, clear_mm
-                    )
-                except DataError as error:
-                    if region.tile is None:
-                        raise
-                    key = Key(group[0].range_mm, name, region.tile)
-                    findings.append(found("tile-left-out", key, {"why": str(error)}))
-                    continue
-                order = min(map(frames.index, group))
-                observations.append(replace(of, order=order))
+                made, assumed = _of_region(
+                    calibration, target, shots, name, region, clear_mm
+                )
+                observations += [replace(of, order=order) for of in made]
                 findings += assumed
     sights = [
         Sight(o.measured_range_mm, at)
@@ -228,7 +228,9 @@ def _regions(shots: Sequence[_Shot], plan: Plan) -> tuple[list[_Region], list[Fi
     ]
     corners = {tile: [shot.corners_px[tile] for shot in shots] for tile in tiles}
     if (grid := open_grid(plan.target)) is None:
-        (whole,) = corners.values()
+        ((place, whole),) = corners.items()
+        if place is not None:
+            return [_Region(place, whole, cut_around(whole, shape))], []
         return list(_cut_up(whole, plan.field, shape)), []
     regions = [_Region(tile, of, cut_around(of, shape)) for tile, of in corners.items()]
     absent = sorted(set(np.ndindex(grid.grid)) - {*tiles})
@@ -266,6 +268,30 @@ def _cut_up(
         y, x = 2 * at.T / [[rows], [columns]] - 1
         inside = [Pose.from_corners(one, (1.0, 1.0)).to_pixels(y, x) for one in corners]
         yield _Region((row, column), corners, cut_within(inside, shape))
+
+
+def _places(
+    groups: Collection[Sequence[Frame]], plan: Plan, target: Target, progress: Progress
+) -> tuple[Places, list[Finding]]:
+    """Return the places of a single target in the frame; none for targets of which each photograph shows several tiles."""
+    single = open_grid(plan.target) is None and not plan.field.cuts
+    if not single or plan.target.corners_px is not None:
+        return {}, []
+
+    def locate(frame: Frame) -> Floats:
+        (corners,) = _locate(frame, plan, target).corners_px.values()
+        return corners
+
+    return places_in_frame(groups, locate, progress)
+
+
+def _shot(
+    frame: Frame, plan: Plan, target: Target, known: Mapping[Tile | None, Floats] | None
+) -> _Shot:
+    """Decode a photograph, and search for the target if its corners are not known."""
+    if known is None:
+        return _locate(frame, plan, target)
+    return _Shot(frame, read_photograph(frame.path, plan.sensor), known)
 
 
 def _locate(frame: Frame, plan: Plan, target: Target) -> _Shot:
@@ -328,6 +354,25 @@ def _found(grey: Floats, target: Target, mm_per_pixel: float | None) -> Floats:
     raise failures[0]
 
 
+def _of_region(
+    calibration: Calibration,
+    target: Target,
+    shots: Sequence[_Shot],
+    channel: str,
+    region: _Region,
+    clear_mm: float | None,
+) -> tuple[list[Observation], Iterable[Finding]]:
+    """Return the observation of a channel in a region; none of a tile that cannot be used, and a finding that says why."""
+    try:
+        of, assumed = _observation(calibration, target, shots, channel, region, clear_mm)
+    except DataError as error:
+        if region.tile is None:
+            raise
+        key = Key(shots[0].frame.range_mm, channel, region.tile)
+        return [], [found("tile-left-out", key, {"why": str(error)})]
+    return [of], assumed
+
+
 def _observation(
     calibration: Calibration,
     target: Target,
@@ -357,6 +402,11 @@ def _observation(
             )
             for part, pose in zip(data, poses, strict=True)
         ]
+    pixels = first.pixels(channel)
+    if region.tile is not None:
+        own = pixels.mask(data[0].mask.shape)
+        for part, pose, frame in zip(data, poses, group, strict=True):
+            _refuse_clipped(part, pose, own, f"{frame.file}, channel {channel}")
     frames = tuple(
         _frame_data(
             calibration,
@@ -367,7 +417,6 @@ def _observation(
         )
         for part, pose, frame in zip(data, poses, group, strict=True)
     )
-    pixels = first.pixels(channel)
     observation = Observation(
         range_mm=group[0].range_mm,
         measured_range_mm=_measured(group),
@@ -386,6 +435,17 @@ def _observation(
         photograph_px=first.shape[:2],
     )
     return observation, tuple(finding for part in data for finding in part.findings)
+
+
+def _refuse_clipped(data: ChannelData, pose: Pose, own: Bools, where: str) -> None:
+    """Raise DataError for a tile whose bright pixels are mostly clipped or unlit. own: pixels of the channel."""
+    inside = sees_target_only(pose, own.shape) & own
+    bright = inside & (data.counts > data.counts[inside].max(initial=0.0) / 2)
+    usable = data.mask[bright].mean() if bright.any() else 0.0
+    if usable < LEAST_BRIGHT_SHARE:
+        raise DataError(
+            f"{where}: {usable:.0%} of the bright pixels are usable, the others are clipped or unlit"
+        )
 
 
 def _frame_data(

@@ -49,6 +49,7 @@ def show(
     summary = summarise_field(Results.load(session, name), channel)
     console.warn(*summary.notes)
     console.say(tables.headline(summary))
+    console.say(tables.coverage(summary.covered))
     if summary.camera_tilt is not None:
         console.say(summary.camera_tilt.words)
     for rows in (

@@ -28,7 +28,7 @@ from labkit.field.surfaces import Surface, focus_um
 from labkit.field.symmetry import Share
 from labkit.field.target_tilt import SeparatedTilt
 from labkit.field.terms import LensTerms, lens_terms
-from labkit.field.tiles import Tile, sign_is_open, tiles_of
+from labkit.field.tiles import Tile, covered, sign_is_open, tiles_of
 from labkit.field.turned import planned_screws
 from labkit.optics.field import FieldModel
 from labkit.optics.mtf import Curve, mtf, mtf50
@@ -84,6 +84,7 @@ class FieldSummary:
     illumination : light over the frame of each channel; empty without flats at hand
     screws : what to do at each screw of the plan's mount
     tiles : of the target
+    covered : shares of the frame's height and width between the tiles' outermost edges
     sign_open : whether tilt, curvature, astigmatism and focus may all have the other sign,
         as from one range; screws are then left out
     notes : frequencies that are left out, an open sign, tiles out of place, a bent target,
@@ -101,6 +102,7 @@ class FieldSummary:
     illumination: dict[str, RelativeIllumination]
     screws: tuple[ScrewMove, ...]
     tiles: tuple[Tile, ...]
+    covered: tuple[float, float]
     sign_open: bool
     notes: tuple[str, ...]
 
@@ -131,6 +133,7 @@ class FieldSummary:
             },
             "screws": [one.as_json() for one in self.screws],
             "tiles": [one.as_json() for one in self.tiles],
+            "covered": {"height": self.covered[0], "width": self.covered[1]},
             "sign_open": self.sign_open,
             "notes": list(self.notes),
         }
@@ -178,6 +181,7 @@ def summarise_field(results: Results, channel: str | None = None) -> FieldSummar
         session_illumination(results),
         level(slope, planned_screws(plan)) if told else (),
         tiles_of(results, model),
+        covered(results, model),
         sign_open,
         (
             *notes,

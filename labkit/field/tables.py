@@ -48,6 +48,15 @@ def headline(summary: FieldSummary) -> str:
     )
 
 
+def coverage(covered: tuple[float, float]) -> str:
+    """Return the part of the frame that the tiles cover, (height, width), in a sentence."""
+    down, right = covered
+    return (
+        f"the tiles cover {right:.0%} of the frame's width and {down:.0%} of its height; "
+        "numbers beyond them are extrapolated"
+    )
+
+
 def _towards(direction: Uncertain, *, sign_open: bool) -> str:
     if not direction.std < UNCLEAR_DEG:
         return "the errors leave its direction open"

@@ -62,6 +62,20 @@ def tiles_of(results: Results, model: FieldModel) -> tuple[Tile, ...]:
     )
 
 
+def covered(results: Results, model: FieldModel) -> tuple[float, float]:
+    """Return the shares of the frame's height and width between the outermost edges of accepted tiles; 0 without any."""
+    corners = [
+        fit.placement.corners_px.reshape(-1, 2)
+        for fit in results
+        if fit.tile is not None and fit.placement is not None and fit.accepted
+    ]
+    if not corners:
+        return 0.0, 0.0
+    extent = np.ptp(np.concatenate(corners), axis=0) / model.frame.shape_px
+    down, right = np.minimum(extent, 1.0).tolist()
+    return down, right
+
+
 def sign_is_open(results: Results) -> bool:
     """Return whether all even modes may have the other sign together, as from one range."""
     return len(results.ranges_mm) < 2 or any(fit.sign_open for fit in results)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from labkit import npz
 from labkit.errors import DataError, NewerError, PlanError, shown
@@ -19,12 +19,15 @@ from labkit.files import (
     check_name,
     drop_link,
     refuse_links,
+    replacing,
     write_atomically,
     writing,
 )
 from labkit.key import Key
 from labkit.optics.field import FieldModel
 from labkit.plan import Plan
+from labkit.results.arrays import RESIDUAL_PARTS, Named, psfs
+from labkit.results.arrays import residuals as kept_residuals
 from labkit.results.model import Residuals, Wavefront
 from labkit.results.schema import READABLE, Content
 
@@ -34,13 +37,8 @@ if TYPE_CHECKING:
 RESULTS_FILE = "results.json"
 RESIDUALS = "residuals.npz"
 PSFS = "psf.npz"
-PSF_SAMPLES_PER_AIRY = 6.0  # of the shortest wavelength's lambda N: three times Nyquist, fine enough to interpolate
-PSF_HALF_WIDTH_AIRY = (
-    32.0  # of the longest wavelength's lambda N: 0.6 % of the light lies beyond
-)
 FIELD_FILE = "field.npz"
 COVARIANCE = "covariance"  # of the field's coefficients
-RESIDUAL_PARTS = ("data", "model", "sigma")  # of residuals
 MOST_NUMBER_BYTES = 8  # of a number
 MOST_RESULT_PIXELS = 2**28  # of any photograph
 REPORT_FILES = (
@@ -57,18 +55,21 @@ def write(folder: Path, results: Results) -> Path:
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
     refuse_links(folder)
-    files = {  # made before the first is written: files of two fits never lie side by side for long
-        PSFS: npz.packed(psfs(results.wavefronts), compressed=False),
-        RESIDUALS: npz.packed(_residuals(results.wavefronts), compressed=False),
-        **_field_file(results.field),
-        RESULTS_FILE: json.dumps(entry(results), indent=1, allow_nan=False).encode()
-        + b"\n",
+    made_of: dict[str, Named] = {
+        PSFS: psfs(results.wavefronts),
+        RESIDUALS: kept_residuals(results.wavefronts),
     }
-    (folder / REPORT_FILES[0]).unlink(missing_ok=True)
-    drop_link(folder / REPORT_FILES[1])
-    shutil.rmtree(folder / REPORT_FILES[1], ignore_errors=True)
-    for name, packed in files.items():
-        write_atomically(folder / name, packed)
+    if results.field is not None:
+        made_of[FIELD_FILE] = iter([(COVARIANCE, results.field.covariance)])
+    content = json.dumps(entry(results), indent=1, allow_nan=False).encode() + b"\n"
+    with ExitStack() as last_first:
+        # files take their places together, so that those of two fits never lie side by side for long
+        last_first.enter_context(replacing(folder / RESULTS_FILE)).write(content)
+        for name, arrays in made_of.items():
+            npz.write(last_first.enter_context(replacing(folder / name)), arrays)
+        (folder / REPORT_FILES[0]).unlink(missing_ok=True)
+        drop_link(folder / REPORT_FILES[1])
+        shutil.rmtree(folder / REPORT_FILES[1], ignore_errors=True)
     return folder / RESULTS_FILE
 
 
@@ -194,32 +195,6 @@ def _schema(text: str) -> Any:
 def entry(results: Results) -> dict[str, Any]:
     """The content of results.json."""
     return Content.of_results(results).written()
-
-
-def psfs(wavefronts: Sequence[Wavefront]) -> dict[str, npt.NDArray[Any]]:
-    """PSFs of the optics alone on one grid for all: unit sum, centred, odd; and their spacing_um."""
-    airy_um = [w.wavelength_nm * 1e-3 * w.f_number for w in wavefronts]
-    spacing_um = min(airy_um) / PSF_SAMPLES_PER_AIRY
-    size = 2 * int(np.ceil(PSF_HALF_WIDTH_AIRY * max(airy_um) / spacing_um)) + 1
-    arrays: dict[str, npt.NDArray[Any]] = {"spacing_um": np.array(spacing_um)}
-    for w in wavefronts:
-        arrays[f"psf_{w.key}"] = w.psf(spacing_um, size).astype(np.float32)
-    return arrays
-
-
-def _residuals(wavefronts: Sequence[Wavefront]) -> dict[str, npt.NDArray[Any]]:
-    """data_, model_ and sigma_ of each wavefront, (frames, planes, rows, columns)."""
-    return {
-        f"{part}_{w.key}": getattr(w.residuals, part).astype(np.float32)
-        for w in wavefronts
-        if w.residuals is not None
-        for part in RESIDUAL_PARTS
-    }
-
-
-def _field_file(field: FieldModel | None) -> dict[str, bytes]:
-    """Return the file of a field's covariance, where there is a field."""
-    return {} if field is None else {FIELD_FILE: npz.packed({COVARIANCE: field.covariance})}
 
 
 def _others(session: Path) -> str:

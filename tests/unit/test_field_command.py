@@ -12,7 +12,7 @@ from labkit.cli import field as command
 from labkit.cli.command_line import run
 from labkit.field.session_geometry import session_geometry
 from labkit.field.summary import summarise_field
-from labkit.field.tables import headline
+from labkit.field.tables import coverage, headline
 from labkit.findings import Finding
 from labkit.key import Key
 from labkit.optics.field import FieldModel
@@ -168,7 +168,11 @@ def test_an_unknown_channel_is_named(
 
 
 def test_tiles_show_their_fits_and_agreement_with_the_model() -> None:
-    first, second, absent = summarise_field(tiled(pull=2.0)).tiles
+    summary = summarise_field(tiled(pull=2.0))
+    # two tiles of 60 pixels, 300 apart, in a frame of 512 by 768
+    assert summary.covered == pytest.approx((60 / 512, 360 / 768))
+    assert "47% of the frame's width and 12% of its height" in coverage(summary.covered)
+    first, second, absent = summary.tiles
     assert first.centre_px == pytest.approx([130, 130])
     assert (first.fits, first.accepted) == (2, 2)
     assert (second.fits, second.accepted) == (2, 1)

@@ -17,11 +17,15 @@ from benchmarks.field_sessions import (
     field_session,
     make,
 )
+from labkit.analysis.observe import observe
 from labkit.drivers.simulated.setup import settings_for
 from labkit.field.flats import session_illumination
 from labkit.photographs.decoding import read_photograph
+from labkit.photographs.photograph import Photograph
 from labkit.plan import Plan
+from labkit.plan.sensor import Sensor
 from labkit.session.import_frames import import_frames
+from labkit.target import open_target
 from tests.plans import SMALL, plan_text, simulated
 from tests.results_samples import some_results
 
@@ -57,6 +61,30 @@ def test_a_written_session_imports_and_has_its_truth_beside_it(tmp_path: Path) -
     corners = [number.value for number in lights["R"].corners.values()]
     # a tenth is lost in the corners by vignetting, and hardly anything by the fourth power of the cosine
     assert np.mean(corners) == pytest.approx(90, abs=2)
+
+
+def test_a_clipped_tile_is_left_out_and_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make(tiny(), tmp_path / "shots")
+    session = import_frames(
+        tmp_path / "shots/frames.csv", tmp_path / "shots/plan.toml", tmp_path / "session"
+    )
+
+    def overexposed(path: Path, sensor: Sensor) -> Photograph:
+        picture = read_photograph(path, sensor)
+        counts = picture.counts.copy()
+        right = slice(counts.shape[1] // 2, None)
+        counts[:, right] = (600 + 4 * (counts[:, right] - 600.0)).clip(0, picture.white)
+        return replace(picture, counts=counts)
+
+    monkeypatch.setattr("labkit.analysis.observe.read_photograph", overexposed)
+    target = open_target(session.plan.target)
+    observations, findings = observe(session, session.plan, target, channel="G")
+    assert {o.tile for o in observations} == {(0, 0)}
+    left_out = [f for f in findings if f.code == "tile-left-out"]
+    assert [f.key and f.key.tile for f in left_out] == [(0, 1), (0, 1)]
+    assert "the others are clipped or unlit" in left_out[0].text
 
 
 def test_carpets_lie_where_the_truth_has_their_centres(tmp_path: Path) -> None:

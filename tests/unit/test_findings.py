@@ -86,6 +86,7 @@ SAMPLES = [
     found("no-flat-frames"),
     flats_of_another_range(2150.0, 2200.0),
     flats_partly_unlit(2000.0, 0.125),
+    found("target-at-places", count=4),
     found(
         "tiles-not-found",
         None,

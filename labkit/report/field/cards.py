@@ -20,8 +20,10 @@ def _tilt(terms: Sequence[LensTerms]) -> Card:
         (t.channel, (number_of(t.tilt.over_frame), number_of(t.tilt.angle.magnitude)))
         for t in terms
     ]
-    towards = ", ".join(f"{t.channel} {_degrees(t.tilt.direction_deg)}" for t in terms)
-    note = f"From corner to corner. The sensor recedes from the lens towards {towards}, from right (0°) to down (90°)."
+    note = (
+        f"From corner to corner. The sensor recedes from the lens towards {_towards(terms)}; "
+        "0° is right, 90° down."
+    )
     return Card("Sensor tilt", note, tuple(rows), ("µm", "arc minutes"))
 
 
@@ -40,6 +42,14 @@ def _coma(terms: Sequence[LensTerms]) -> Card:
     rows = [(t.channel, (number_of(t.coma.magnitude),)) for t in terms]
     note = "Coma that is equal all over the frame, the mark of a decentred lens."
     return Card("Decentre", note, tuple(rows), ("constant coma, waves RMS",))
+
+
+def _towards(terms: Sequence[LensTerms]) -> str:
+    """Return the direction of each channel's tilt; once where all print alike."""
+    each = {t.channel: _degrees(t.tilt.direction_deg) for t in terms}
+    if len(set(each.values())) == 1:
+        return each.popitem()[1]
+    return ", ".join(f"{channel} {angle}" for channel, angle in each.items())
 
 
 def _degrees(angle: Uncertain) -> str:

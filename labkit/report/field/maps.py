@@ -143,10 +143,10 @@ def dots(count: int) -> dict[str, Any]:
     return {
         "ls": "none",
         "marker": "o",
-        "ms": 2.2 if count <= 60 else 1.1,
+        "ms": 3.0 if count <= 60 else 1.1,
         "mfc": "none" if count <= 60 else SOFT_INK,
-        "mec": SOFT_INK,
-        "mew": 0.6 if count <= 60 else 0,
+        "mec": INK if count <= 60 else SOFT_INK,
+        "mew": 0.9 if count <= 60 else 0,
     }
 
 

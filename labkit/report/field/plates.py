@@ -21,7 +21,7 @@ from labkit.field.session_tilt import session_tilt
 from labkit.field.surfaces import ASTIGMATISM, focus_um
 from labkit.field.target_tilt import SeparatedTilt
 from labkit.field.terms import LensTerms, lens_terms
-from labkit.field.tiles import sign_is_open
+from labkit.field.tiles import covered, sign_is_open
 from labkit.field.turned import planned_screws
 from labkit.figure_style import HALF_IN, Ink
 from labkit.optics.field import FieldModel
@@ -41,7 +41,7 @@ from labkit.report.field.profiles import (
     file_key,
     height_chart,
     inner_points,
-    limit_um,
+    limits_um,
     lines_of,
     surfaces_chart,
     through_chart,
@@ -132,6 +132,11 @@ class FieldArtist:
     def sign_open(self) -> bool:
         """Whether tilt, curvature, astigmatism and focus may all have the other sign: screws are then not told to move."""
         return sign_is_open(self.results)
+
+    @property
+    def covered(self) -> tuple[float, float]:
+        """Shares of the frame's height and width between the tiles' outermost edges."""
+        return covered(self.results, self.model)
 
     def tables(self) -> dict[str, Table | None]:
         """Return the tables of the field by their names in the template; None for one without rows."""
@@ -264,10 +269,10 @@ class FieldArtist:
 
     def _surfaces(self, channel: str) -> Plate:
         every = [p for of in self.profiles.values() for p in of]
-        most_um = limit_um(every)
+        limits = limits_um(every)
         panels = []
         for words, pair in self._pairs(channel):
-            figure = surfaces_chart(pair, self.model.frame, self.inks[channel], most_um)
+            figure = surfaces_chart(pair, self.model.frame, self.inks[channel], limits)
             of = {"channel": channel, "line": words}
             key = f"{channel}_{file_key(words)}"
             panels.append(drawing("field_surface", figure, of, key))

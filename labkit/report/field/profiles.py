@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 
 from labkit.field.curves import Profile
 from labkit.field.focus_curves import FocusCurve
@@ -26,6 +27,9 @@ from labkit.figure_style import (
 )
 from labkit.optics.field import FieldFrame
 from labkit.types import Floats
+
+ROOM = 0.06
+"""Of an axis of focus, above and below the surfaces, in heights of what is drawn."""
 
 LABEL_STEP = 0.062
 """Height of a line of text on an axis of MTF."""
@@ -63,7 +67,7 @@ def inner_points(frame: FieldFrame) -> dict[str, Floats]:
 
 
 def surfaces_chart(
-    pair: Sequence[Profile], frame: FieldFrame, ink: Ink, limit_um: float
+    pair: Sequence[Profile], frame: FieldFrame, ink: Ink, limits_um: tuple[float, float]
 ) -> Figure:
     """Draw how far the sensor is behind the sagittal and the tangential image along a line."""
     figure, axes = _line_axes(pair[0], frame)
@@ -72,15 +76,18 @@ def surfaces_chart(
         focus = profile.focus_um
         banded(axes, profile.height_mm, focus.value, focus.std, colour, line)
     axes.axhline(0, color=SOFT_INK, lw=0.7)
-    axes.set(ylim=(-limit_um, limit_um), ylabel="focus error of the sensor, µm")
+    axes.set(ylim=limits_um, ylabel="focus error of the sensor, µm")
     _legend(figure, ink)
     return figure
 
 
-def limit_um(profiles: Sequence[Profile]) -> float:
-    """Return the limit of an axis with room for all surfaces and their errors."""
-    ends = [np.abs(p.focus_um.value) + p.focus_um.std for p in profiles]
-    return 1.08 * float(np.max(ends)) or 1.0
+def limits_um(profiles: Sequence[Profile]) -> tuple[float, float]:
+    """Return the limits of an axis with room for all surfaces, their errors, and zero."""
+    low = min(float(np.min(p.focus_um.value - p.focus_um.std)) for p in profiles)
+    high = max(float(np.max(p.focus_um.value + p.focus_um.std)) for p in profiles)
+    low, high = min(low, 0.0), max(high, 0.0)
+    room = ROOM * (high - low) or 1.0
+    return low - room, high + room
 
 
 def height_chart(pair: Sequence[Profile], frame: FieldFrame, ink: Ink) -> Figure:
@@ -162,6 +169,8 @@ def through_chart(curves: Sequence[FocusCurve], frame: FieldFrame, ink: Ink) -> 
     first = curves[0]
     ends = (first.shift_um[0], first.shift_um[-1])
     panels[0, 0].set(ylim=(0, 1), yticks=(0, 0.5, 1), xlim=ends)
+    # numbers at the ends of neighbouring panels would touch
+    panels[0, 0].xaxis.set_major_locator(MaxNLocator(3, prune="both"))
     title = f"{first.channel}  {first.frequency_per_mm:g} cycles/mm"
     figure.text(0.02, 0.955, title, fontweight="bold", fontsize=9, va="center")
     figure.text(0.55, 0.02, "the sensor moved away from the lens, µm", ha="center")
