@@ -141,9 +141,9 @@ def _move(at: int, height: Uncertain, shim: Uncertain, screws: Screws) -> ScrewM
         return ScrewMove(at + 1, height, shim, None, words)
     factor = 360 / (1e3 * screws.pitch_mm)
     turn = Uncertain(factor * height.value, factor * height.std, "deg")
-    amount = Uncertain(abs(turn.value), turn.std, "deg")
+    amount = Uncertain(abs(turn.value), turn.std, "°")
     if screws.clockwise is None:
-        words = f"{amount}, {_way(height)}; which way that is, a known move has to prove"
+        words = f"{amount} {_way(height)}, which a known move has to prove"
         return ScrewMove(at + 1, height, shim, turn, words)
     clockwise = (turn.value > 0) == (screws.clockwise == "away")
     words = f"{amount} {'clockwise' if clockwise else 'anticlockwise'}"

@@ -48,6 +48,12 @@ SIGN_OPEN_NOTE = (
 )
 
 
+LEAN_NOTE = (
+    "the tilt is that of the sensor against the target: it holds the target's lean, which a grid of targets at two ranges "
+    "or more separates"
+)
+
+
 @dataclass(frozen=True, eq=False)
 class FieldPoint:
     """MTF and focus of one direction of detail at a point of the frame.
@@ -186,6 +192,7 @@ def summarise_field(results: Results, channel: str | None = None) -> FieldSummar
         (
             *notes,
             *([SIGN_OPEN_NOTE] if sign_open else []),
+            *([LEAN_NOTE] if tilt is None else []),
             *_geometry_notes(geometry, tilt),
         ),
     )

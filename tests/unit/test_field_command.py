@@ -11,7 +11,7 @@ import pytest
 from labkit.cli import field as command
 from labkit.cli.command_line import run
 from labkit.field.session_geometry import session_geometry
-from labkit.field.summary import summarise_field
+from labkit.field.summary import LEAN_NOTE, summarise_field
 from labkit.field.tables import coverage, headline
 from labkit.findings import Finding
 from labkit.key import Key
@@ -137,7 +137,7 @@ def test_distortion_lateral_colour_and_screws_are_shown(
     k1 = str(geometry.k1_per_mm2).removesuffix(" /mm²")
     assert ["distortion,", "k1", "1/mm²", *k1.split()] in words
     assert "lateral colour, top left, B" in out
-    assert "which way that is, a known move has to prove" in out
+    assert "which a known move has to prove" in out
     last = out.splitlines()[-2:]
     assert [line.split()[-1] for line in last] == ["pass", "pass"]
     answer = summarise_field(results).as_json()
@@ -189,7 +189,9 @@ def test_a_tilt_within_its_errors_has_no_direction() -> None:
 
 def test_an_open_sign_is_said_and_moves_no_screw() -> None:
     sure = tiled_results()
-    assert len(summarise_field(sure).screws) == 3
+    known = summarise_field(sure)
+    assert len(known.screws) == 3
+    assert LEAN_NOTE not in known.notes
     wavefronts = tuple(replace(w, sign_open=True) for w in sure)
     one_range = tuple(w for w in sure if w.range_mm == 3000.0)
     for fits in (wavefronts, one_range):
@@ -197,4 +199,7 @@ def test_an_open_sign_is_said_and_moves_no_screw() -> None:
         assert summary.screws == ()
         assert "or the opposite way" in headline(summary)
         assert any(note.endswith("a second range tells") for note in summary.notes)
+        # and the target's lean is named as unknown
+        named = [LEAN_NOTE in note or "perspective alone" in note for note in summary.notes]
+        assert any(named)
         assert summary.as_json()["sign_open"] is True

@@ -35,7 +35,7 @@ def test_the_moves_level_the_focal_surface(screws: Screws) -> None:
 
 def test_words_name_a_turn_only_after_its_way_was_proven() -> None:
     unproven = level(tilt(2.4, 0.0), THREE)[0].words
-    assert "towards the lens; which way that is" in unproven
+    assert "towards the lens, which a known move has to prove" in unproven
     for way, word in (("away", "anticlockwise"), ("towards", " clockwise")):
         proven = Screws(THREE.places_mm, 0.5, way)  # type: ignore[arg-type]
         assert level(tilt(2.4, 0.0), proven)[0].words.endswith(word)
