@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import hypot, inf, nan, sqrt
+from math import hypot, inf, isfinite, nan, sqrt
 
 import numpy as np
 
@@ -139,7 +139,7 @@ class LensTerms:
 def radius_of(curvature: Uncertain) -> Uncertain:
     """Return the radius, mm, of a surface by the mm that it bends for each mm² of height."""
     value = curvature.value
-    if not value:
+    if not (value and isfinite(value)):
         return Uncertain(inf, inf, "mm")
     return Uncertain(1 / (2 * value), curvature.std / (2 * value**2), "mm")
 

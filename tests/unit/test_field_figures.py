@@ -128,6 +128,8 @@ def test_contours_cover_all_values_with_round_levels() -> None:
     assert levels[-2] < 12 <= levels[-1]
     assert np.diff(levels) == pytest.approx(5.0)
     assert even_levels(1.0, 1.0)[0] < 1.0  # a map that is even everywhere
+    # rounding alone has no contours: one step holds it all
+    assert even_levels(-1e-16, 1e-15)[0] < -0.1
 
 
 def test_the_arrow_of_tilt_points_where_the_sensor_recedes() -> None:

@@ -72,6 +72,7 @@ def test_a_tile_that_was_left_out_is_drawn_where_its_neighbours_predict_it() -> 
     sight = tile_sight(results, results[Key(NEAR_MM, "R", (1, 2))])
     assert set(sight.left_out) == {(0, 1)}
     assert sight.doubtful == [(2, 4)]
+    assert not sight.apart
     assert len(sight.fits) == SHAPE[0] * SHAPE[1] - 1
     # distortion bends the grid by up to 20 pixels, of which a plane keeps most
     assert sight.corners_px((0, 1)) == pytest.approx(tile_corners_px((0, 1)), abs=25)

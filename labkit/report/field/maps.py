@@ -26,6 +26,9 @@ DIVERGING = LinearSegmentedColormap.from_list(
 
 SEQUENTIAL = LinearSegmentedColormap.from_list("sizes", ["#ffffff", "#a9c7b9", "#4d9078"])
 MOST_CONTOURS = 11
+MAP_ROUNDING = 1e-9
+"""Span of values, in the unit of a map, that is nothing but rounding: contours would draw it as if it were the lens."""
+
 TILT_ARROW = 0.7
 """Of an arrow, in halves of the frame's shorter side."""
 
@@ -77,7 +80,7 @@ def frame_axes(
 
 def even_levels(low: float, high: float, most: int = MOST_CONTOURS) -> Floats:
     """Return round levels that cover an interval."""
-    if not high > low:
+    if not high - low > MAP_ROUNDING:
         low, high = low - 0.5, high + 0.5
     ticks = MaxNLocator(most, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high)
     first = int(np.searchsorted(ticks, low, "right")) - 1

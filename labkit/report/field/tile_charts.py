@@ -38,6 +38,11 @@ class TileSight:
     left_out: Mapping[Tile, str]
 
     @property
+    def apart(self) -> bool:
+        """Return whether tiles are of different photographs, each of one target at another place."""
+        return len({fit.frames for fit in self.fits.values()}) > 1
+
+    @property
     def doubtful(self) -> list[Tile]:
         """Tiles whose fit contradicts the others, or whose optimum is doubtful."""
         return [tile for tile, fit in self.fits.items() if fit.test and not fit.accepted]
