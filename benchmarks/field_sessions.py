@@ -64,8 +64,9 @@ FILLED = 0.66
 """Side of a carpet over the distance of the tiles' centres, at the nearest range."""
 
 ORDER = 4
-HALO_UM, SAMPLES = 200.0, 6
-"""How far diffraction is followed ring by ring, and the least number of samples to a pixel."""
+HALO_UM, SAMPLES = 200.0, 12
+"""How far diffraction is followed ring by ring, and the least number of samples to a pixel: at 23,000 electrons 6 samples add
+0.15 to chi2 per pixel along edges, 12 add 0.01, against 20 samples."""
 
 EXPOSURE_S, WHITE_ELECTRONS = 0.02, 23_000.0
 GAIN = 0.45
