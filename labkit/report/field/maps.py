@@ -26,8 +26,8 @@ DIVERGING = LinearSegmentedColormap.from_list(
 
 SEQUENTIAL = LinearSegmentedColormap.from_list("sizes", ["#ffffff", "#a9c7b9", "#4d9078"])
 MOST_CONTOURS = 11
-MAP_ROUNDING = 1e-9
-"""Span of values, in the unit of a map, that is nothing but rounding: contours would draw it as if it were the lens."""
+MAP_DECIMALS = 9
+"""Of a map's values, in its unit: beyond is rounding, whose contours would look like the lens's."""
 
 TILT_ARROW = 0.7
 """Of an arrow, in halves of the frame's shorter side."""
@@ -80,7 +80,7 @@ def frame_axes(
 
 def even_levels(low: float, high: float, most: int = MOST_CONTOURS) -> Floats:
     """Return round levels that cover an interval."""
-    if not high - low > MAP_ROUNDING:
+    if not high - low > 10.0**-MAP_DECIMALS:
         low, high = low - 0.5, high + 0.5
     ticks = MaxNLocator(most, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high)
     first = int(np.searchsorted(ticks, low, "right")) - 1
@@ -117,7 +117,7 @@ def map_chart(
     colours: dict[str, Any] = (
         {"cmap": DIVERGING, "vmin": -most, "vmax": most} if signed else {"cmap": SEQUENTIAL}
     )
-    fine, smooth = grid.smooth(value)
+    fine, smooth = grid.smooth(np.round(value, MAP_DECIMALS))
     at = fine.x_mm, fine.y_mm, smooth.clip(levels[0], levels[-1])
     filled = axes.contourf(*at, levels=levels, **colours)
     lines = axes.contour(*at, levels=levels[1:-1], colors=INK, linewidths=0.5)
