@@ -194,7 +194,7 @@ def work(task: Task) -> Answer:
     rng = np.random.default_rng(PICTURES.index(task.picture))
     worlds = _worlds(task.picture)
     shifts = [(0.0, 0.0), *map(tuple, rng.uniform(-2, 2, (FRAMES - 1, 2)))]
-    frames = [_exposed(WHITE * _mosaic(worlds, shift), rng) for shift in shifts]
+    frames = [exposed(WHITE * _mosaic(worlds, shift), rng) for shift in shifts]
     made = partial(job_of, samples=task.samples)
     truth = worlds["R"].truth(task.samples)
     one = made(frames[:1])
@@ -241,7 +241,7 @@ def _mosaic(worlds: dict[str, PictureCamera], shift_px: tuple[float, float]) -> 
     return mosaic
 
 
-def _exposed(mean: Floats, rng: np.random.Generator) -> Floats:
+def exposed(mean: Floats, rng: np.random.Generator) -> Floats:
     """Return counts above black, rounded."""
     return np.rint(
         GAIN * rng.poisson(mean.clip(0) / GAIN) + rng.normal(0, READ_NOISE, mean.shape)

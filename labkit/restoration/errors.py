@@ -13,6 +13,7 @@ import numpy as np
 import scipy.fft
 from scipy import ndimage
 
+from labkit.restoration.grid import SceneGrid
 from labkit.restoration.kriging import Kriging, Stiffness
 from labkit.restoration.views import Views
 from labkit.types import AnyFloats, Complexes, Floats, Floats32
@@ -75,14 +76,37 @@ def standard_errors(
     return ErrorMap(np.exp(0.5 * std), np.exp(by_penalty))
 
 
+def random_error(
+    views: Views, coupling: Floats, stiffness: float, rng: np.random.Generator
+) -> Floats32:
+    """Return the error (components, rows, columns) of the frame of a random scene, restored without regard to its bound.
+
+    The scene is Gaussian, with the spectrum that the penalty supposes, and as bright as the data.
+    """
+    grid = views.grid
+    solid = _supposed(grid, coupling, stiffness)
+    white = grid.spectrum(rng.standard_normal((views.components, *grid.shape), np.float32))
+    spectra = np.tensordot(solid.turn, np.sqrt(solid.give) * white, 1).astype(np.complex64)
+    weights = views.weights(views.flat(views.levels()))
+    noise = rng.normal(size=weights.shape) / np.sqrt(np.where(weights > 0, weights, 1.0))
+    kriging = Kriging(views, solid, weights)
+    restored = kriging.scene(kriging.solve(views.means(spectra) + noise))
+    return np.asarray(grid.image(restored - spectra)[:, *grid.inner], np.float32)
+
+
+def _supposed(grid: SceneGrid, coupling: Floats, stiffness: float) -> Stiffness:
+    """Return the penalty's inverse covariance of scenes. stiffness: as of `Strength`."""
+    longest = max(side / grid.samples for side in grid.shape)
+    rough = stiffness / grid.samples**2
+    return Stiffness(grid, coupling, rough, rough * (2 * np.pi / longest) ** 2)
+
+
 def _even(
     small: Views, coupling: Floats, stiffness: float, weights: Floats
 ) -> tuple[Floats, Floats]:
     """Return the variance (components, step, step) of a cell's samples, and the penalty's share of it, for even weights."""
     grid = small.grid
-    longest = max(side / grid.samples for side in grid.shape)
-    rough = stiffness / grid.samples**2
-    solid = Stiffness(grid, coupling, rough, rough * (2 * np.pi / longest) ** 2)
+    solid = _supposed(grid, coupling, stiffness)
     full = [np.full(small.counts.shape[1:], weight) for weight in weights]
     kriging = Kriging(small, solid, full)
     # half planes over columns of kernels that are real, made whole

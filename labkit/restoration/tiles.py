@@ -158,7 +158,7 @@ def restore_job(
         for index, part in here(restore_tile, again):
             yield index, part.layers
 
-    calibrate_errors(canvas, job, restored)
+    calibrate_errors(canvas, job, chosen.stiffness, restored)
     norm = _together(done, (1 - unknown) * math.prod(job.shape))
     chi2 = sum(part.chi2 for part in done) / max(sum(part.counts for part in done), 1)
     found = by_hand or 0.5 * chosen.stiffness * norm.square

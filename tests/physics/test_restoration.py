@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labkit.restoration.errors import standard_errors
+from labkit.restoration.errors import random_error, standard_errors
 from labkit.restoration.job import Job
 from labkit.restoration.kriging import Kriging, Stiffness
 from labkit.restoration.roughness import Roughness
@@ -202,6 +202,17 @@ def test_the_error_map_is_the_diagonal_of_the_inverse() -> None:
     std = np.sqrt(np.diag(inverse)).reshape(views.grid.shape)[views.grid.inner]
     # the frame's border has neighbours on one side only: there errors are smoothed over a cell or two
     np.testing.assert_allclose(errors.std[0][8:-8, 8:-8], std[8:-8, 8:-8], rtol=0.03)
+
+
+def test_a_random_error_is_as_large_as_the_error_map_says() -> None:
+    base, views = small(16, 0)
+    means = views.flat(views.levels())
+    errors = standard_errors(views, base.small(8), np.eye(1), 1e-4, means)
+    rng = np.random.default_rng(8)
+    drawn = [random_error(views, np.eye(1), 1e-4, rng) for _ in range(100)]
+    ratio = np.mean(np.square(drawn), axis=0) / errors.std**2
+    # means of six seeds scatter by 0.8 %; allow four of that
+    assert ratio[0][8:-8, 8:-8].mean() == pytest.approx(1, abs=0.032)
 
 
 @pytest.mark.parametrize("seed", range(5, 11))
