@@ -21,22 +21,22 @@ def real_array(
         raise ValueError(
             f"{name}: real numbers are needed ({unit}), not {array.dtype} of shape {array.shape}"
         )
-    shape = array.shape if shape is None else shape
-    wanted = (
-        "("
-        + ", ".join("any" if side is None else str(side) for side in shape)
-        + ("," if len(shape) == 1 else "")
-        + ")"
-    )
-    if array.ndim != len(shape) or any(
-        side not in (None, have) for side, have in zip(shape, array.shape, strict=True)
-    ):
+    if shape is not None and not _fits(array.shape, shape):
+        sides = ", ".join("any" if side is None else str(side) for side in shape)
+        wanted = f"({sides},)" if len(shape) == 1 else f"({sides})"
         raise ValueError(f"{name} has shape {array.shape}; {wanted} is needed ({unit})")
     if wrong := array.size - np.count_nonzero(np.isfinite(array)):
         raise ValueError(
             f"{name}, shape {array.shape}: {wrong} of {array.size} values are not finite ({unit})"
         )
     return array.astype(np.float64)
+
+
+def _fits(shape: Sequence[int], wanted: Sequence[int | None]) -> bool:
+    """Return whether a shape is a wanted one, in which None stands for any length."""
+    return len(shape) == len(wanted) and all(
+        side in (None, have) for side, have in zip(wanted, shape, strict=True)
+    )
 
 
 def mask_array(name: str, value: ArrayLike, shape: Sequence[int]) -> NDArray[np.bool_]:

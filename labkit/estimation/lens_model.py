@@ -476,12 +476,11 @@ class LensModel:
         """Differentiate the laws by their arguments, (3, 6, n), by central differences of fourth order."""
         steps = DERIVATIVE_STEP * np.maximum(np.abs(arguments), 1.0)
         moves = steps[:, None] * np.eye(len(steps))[:, :, None]
-
-        def difference(times: int) -> Floats:
-            ahead = self._laws(arguments[:, None] + times * moves)
-            return ahead - self._laws(arguments[:, None] - times * moves)
-
-        return np.asarray((8 * difference(1) - difference(2)) / (12 * steps))
+        times = np.array([1.0, -1.0, 2.0, -2.0])[:, None, None]
+        # of all moves at once: a call for few numbers takes as long as one for many
+        laws = self._laws(arguments[:, None, None] + times * moves[:, None])
+        once, twice = laws[:, 0] - laws[:, 1], laws[:, 2] - laws[:, 3]
+        return np.asarray((8 * once - twice) / (12 * steps))
 
 
 def _numbered(names: Iterable[Hashable]) -> Indices:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -19,9 +20,19 @@ THRESHOLDS = (0.75, 0.65, 0.55, 0.45, 0.35)
 """Thresholds tried, as fractions of the picture's range."""
 
 LEAST_SQUARE_SIDE_PX = 6.0
+LEAST_POINTS = 4 * LEAST_SQUARE_SIDE_PX / np.sqrt(2)
+"""Of a square's contour: from a point to the next it is a pixel, or a pixel's diagonal."""
 
 SEARCH_SIDE = 1200
 """A picture of more than twice this many pixels across is binned down before it is searched."""
+
+
+class _Quad(NamedTuple):
+    """A contour (points, 1, 2) of whole pixels (x, y), its corners (4, 2) among them, and their area."""
+
+    contour: NDArray[np.int32]
+    corners: Floats
+    area: float
 
 
 def central_square(target: Target) -> float | None:
@@ -71,27 +82,34 @@ def levelled_hypotheses(
         yield from _widened(_quadrilaterals(binary), side_fraction, factor)
 
 
-def _quadrilaterals(binary: NDArray[np.uint8]) -> list[Floats]:
+def _quadrilaterals(binary: NDArray[np.uint8]) -> list[_Quad]:
     contours, _ = cv2.findContours(binary, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
     return [
         quad
         for contour in contours
-        if (quad := _quadrilateral(np.asarray(contour, dtype=np.int32))) is not None
+        if len(contour) >= LEAST_POINTS
+        and (quad := _quadrilateral(np.asarray(contour, dtype=np.int32))) is not None
     ]
 
 
-def _widened(quads: list[Floats], side_fraction: float, factor: int) -> Iterator[Floats]:
-    """Yield a target's corners about each distinct quadrilateral, largest first."""
+def _widened(quads: list[_Quad], side_fraction: float, factor: int) -> Iterator[Floats]:
+    """Yield a target's corners about each distinct quadrilateral, largest first.
+
+    Sides are fitted to a quadrilateral as its turn comes: of hundreds, few are asked for.
+    """
     distinct: list[Floats] = []
     unit = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], np.float32)
-    for quad in sorted(quads, key=_area, reverse=True):
-        apart = np.abs(quad - np.array(distinct)).max(axis=(1, 2)) if distinct else np.inf
-        if np.min(apart) <= 0.08 * np.sqrt(_area(quad)):
+    for quad in sorted(quads, key=lambda quad: quad.area, reverse=True):
+        near = 0.08 * np.sqrt(quad.area)
+        if distinct and np.abs(quad.corners - distinct).max(axis=(1, 2)).min() <= near:
             continue
-        distinct.append(quad)
+        distinct.append(quad.corners)
+        fitted = _least_rotation(
+            _fitted_sides(quad.contour[:, 0].astype(np.float64), quad.corners)
+        )
         widened = cv2.perspectiveTransform(
             (unit / side_fraction)[None],
-            cv2.getPerspectiveTransform(unit, quad.astype(np.float32)),
+            cv2.getPerspectiveTransform(unit, fitted.astype(np.float32)),
         )[0]
         yield (widened[:, ::-1].astype(np.float64) + 0.5) * factor - 0.5
 
@@ -106,10 +124,8 @@ def _thresholded(image: Singles) -> Iterator[NDArray[np.uint8]]:
         yield (smooth > cv2.blur(smooth, (width, width)) + 0.05).astype(np.uint8)
 
 
-def _quadrilateral(contour: NDArray[np.int32]) -> Floats | None:
-    """Return (4, 2) sub-pixel corners (x, y), clockwise from the upper left, of a convex quadrilateral; else
-    None.
-    """
+def _quadrilateral(contour: NDArray[np.int32]) -> _Quad | None:
+    """Return the contour of a convex quadrilateral with its corners, clockwise from the upper left; else None."""
     length = cv2.arcLength(contour, True)
     if length < 4 * LEAST_SQUARE_SIDE_PX:
         return None
@@ -120,13 +136,15 @@ def _quadrilateral(contour: NDArray[np.int32]) -> Floats | None:
     sides = np.linalg.norm(corners - np.roll(corners, -1, axis=0), axis=1)
     if sides.min() < LEAST_SQUARE_SIDE_PX or sides.max() > 2.0 * sides.min():
         return None
-    if abs(_area(corners) - cv2.contourArea(contour)) > 0.2 * _area(corners):
+    corners = _least_rotation(corners)
+    area = float(cv2.contourArea(corners.astype(np.float32)))
+    if abs(area - cv2.contourArea(contour)) > 0.2 * area:
         return None
-    return _least_rotation(_fitted_sides(contour[:, 0, :].astype(np.float64), corners))
+    return _Quad(contour, corners, area)
 
 
 def _fitted_sides(points: Floats, corners: Floats) -> Floats:
-    """Return the intersections of straight lines through the middle parts of the four sides."""
+    """Return the sub-pixel intersections of straight lines through the middle parts of the four sides."""
     lines = []
     for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         along = (points - start) @ (end - start) / np.sum((end - start) ** 2)
@@ -163,7 +181,3 @@ def _least_rotation(corners: Floats) -> Floats:
 def _cross(a: Floats, b: Floats) -> Floats:
     """Return the third component of the vector product of (..., 2) vectors."""
     return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
-
-
-def _area(corners: Floats) -> float:
-    return float(cv2.contourArea(corners.astype(np.float32)))

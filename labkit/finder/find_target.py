@@ -18,6 +18,7 @@ from labkit.arrays import real_array
 from labkit.errors import TargetError
 from labkit.finder.carpet_squares import central_square, square_hypotheses
 from labkit.finder.registration import (
+    HOPELESS,
     Agreement,
     parent_agreement,
     quick_agreement,
@@ -205,7 +206,7 @@ def _hypotheses(
             corners
             for corners in square_hypotheses(picture, fraction)
             if right_scale(corners, target, mm_per_pixel, slack=2.0)
-            and quick_agreement(picture, target, corners) > 0.3
+            and quick_agreement(picture, target, corners) > HOPELESS
         )
         starts = islice(likely, MOST_HYPOTHESES)
     return chain(starts, swept(picture, target, mm_per_pixel))

@@ -17,8 +17,18 @@ from labkit.types import Floats
 
 Singles = NDArray[np.float32]
 
-REGISTRATION_SIDE = 320
-"""Pixels across the target at which it is registered: a larger picture is binned down to about this."""
+REGISTRATION_PASSES = ((160, (7, 5)), (320, (5,)))
+"""Pixels across the target at which it is registered, first roughly: a larger picture is binned down to about this. And the
+sides of the kernels, pixels, that smooth the picture, one after the other."""
+
+HOPELESS = 0.3
+"""Agreement below which a place is not refined: it would have to be twice as good."""
+
+FIRST_BLUR = 1 / 80
+"""Of the target's side, before a better blur is known."""
+
+PARENT_SIDE = 243
+"""Pixels across a carpet that the target may be a part of."""
 
 TRIED_BLURS = (0.6, 1.2, 2.4, 4.8)
 """Standard deviations of the blurs tried for the unknown lens, in pixels at the working size."""
@@ -76,16 +86,23 @@ def register(image: Singles, target: Target, corners: Floats) -> tuple[Floats, A
     image: (rows, cols). The homography maximises the enhanced correlation coefficient
     (Evangelidis and Psarakis, PAMI 30, 2008) with the target, at the best of a few blurs.
     """
-    factor = max(1, round(_side(corners) / REGISTRATION_SIDE))
-    picture, at = _prepared(image, corners, factor)
-    template = _render(target, _side(at))
-    at_first = at.copy()
-    sigma = max(TRIED_BLURS[1], _side(at) / 80)
-    for light in (15, 9, 5):
-        at = _ecc(picture, _lit(picture, template, at, sigma), at, sigma, light)
-        sigma = _best_blur(picture, template, at)
-    agreement = _agreement(picture, template, at, sigma)
-    return corners + (at - at_first) * factor, agreement
+    blur = max(FIRST_BLUR, TRIED_BLURS[1] / _side(corners))
+    agreement = Agreement(0.0, ())
+    for side, lights in REGISTRATION_PASSES:
+        factor = max(1, round(_side(corners) / side))
+        picture, first = _prepared(image, corners, factor)
+        template = _render(target, _side(first))
+        at = first
+        sigma = blur * _side(at)
+        for light in lights:
+            at = _ecc(picture, _lit(picture, template, at, sigma), at, sigma, light)
+            sigma = _best_blur(picture, template, at)
+        corners = corners + (at - first) * factor
+        blur = sigma / _side(at)
+        agreement = _agreement(picture, template, at, sigma)
+        if agreement.whole < HOPELESS or np.array_equal(at, first):  # no pass converged
+            break
+    return corners, agreement
 
 
 def quick_agreement(
@@ -97,7 +114,7 @@ def quick_agreement(
     factor = max(1, round(_side(corners) / side))
     picture, at = _prepared(image, corners, factor)
     template = _render(target, _side(at))
-    return _agreement(picture, template, at, TRIED_BLURS[1]).whole
+    return _correlation(*_compared(picture, template, at, TRIED_BLURS[1]))
 
 
 def parent_agreement(image: Singles, target: Target, corners: Floats) -> float:
@@ -109,6 +126,8 @@ def parent_agreement(image: Singles, target: Target, corners: Floats) -> float:
     """
     unit = np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, 1.0], [1.0, -1.0]])
     image_from_small = homography(unit, corners)
+    template = _render(target, min(PARENT_SIDE, 3 * _side(corners)))
+    smaller: dict[int, Singles] = {}
     best = 0.0
     for row in (-2.0, 0.0, 2.0):
         for col in (-2.0, 0.0, 2.0):
@@ -116,14 +135,12 @@ def parent_agreement(image: Singles, target: Target, corners: Floats) -> float:
                 continue
             # the large target's corners in the small one's units, which reach from -1 to 1
             large = mapped(image_from_small, 3 * unit - np.array([row, col]))
-            factor = max(1, round(_side(large) / 243))
-            picture = binned(image, factor)
-            at = (large + 0.5) / factor - 0.5
-            template = _render(target, _side(at))
-            hidden = (corners + 0.5) / factor - 0.5
-            best = max(
-                best, _agreement(picture, template, at, TRIED_BLURS[1], hidden).whole
-            )
+            factor = max(1, round(_side(large) / PARENT_SIDE))
+            if factor not in smaller:
+                smaller[factor] = binned(image, factor)
+            at, hidden = ((places + 0.5) / factor - 0.5 for places in (large, corners))
+            pair = _compared(smaller[factor], template, at, TRIED_BLURS[1], hidden)
+            best = max(best, _correlation(*pair))
     return best
 
 
@@ -272,13 +289,14 @@ def _best_blur(picture: Singles, template: _Template, corners: Floats) -> float:
     )
 
 
-def _agreement(
+def _compared(
     picture: Singles,
     template: _Template,
     corners: Floats,
     sigma: float,
     hidden: Floats | None = None,
-) -> Agreement:
+) -> tuple[Singles, Singles, NDArray[np.bool_]]:
+    """Return the image on the template's grid, the blurred template, and a mask of samples in the frame and not hidden."""
     warped, in_frame = _aligned(picture, template, corners)
     if hidden is not None:
         at = mapped(homography(corners, template.corners), hidden)
@@ -286,12 +304,18 @@ def _agreement(
             np.zeros(in_frame.shape, np.uint8), np.rint(at[:, ::-1]).astype(np.int32), 1
         )
         in_frame &= covered == 0
-    expected = template.blurred(np.hypot(sigma, LIGHT_BLUR))
+    return warped, template.blurred(np.hypot(sigma, LIGHT_BLUR)), in_frame
+
+
+def _agreement(
+    picture: Singles, template: _Template, corners: Floats, sigma: float
+) -> Agreement:
+    warped, expected, in_frame = _compared(picture, template, corners, sigma)
     contrast = float(expected.std())
     parts = []
     for rows in np.array_split(np.arange(in_frame.shape[0]), 3):
         for cols in np.array_split(np.arange(in_frame.shape[1]), 3):
-            part = np.ix_(rows, cols)
+            part = slice(rows[0], rows[-1] + 1), slice(cols[0], cols[-1] + 1)
             if float(expected[part].std()) > 0.1 * contrast:
                 parts.append(_correlation(warped[part], expected[part], in_frame[part]))
     return Agreement(_correlation(warped, expected, in_frame), tuple(parts))

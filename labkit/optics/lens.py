@@ -33,10 +33,10 @@ class ThinLens:
     pupil_magnification: float = 1.0
 
     def __post_init__(self) -> None:
-        if not all(
-            np.all(np.asarray(x) > 0)
-            for x in (self.focal_length_mm, self.f_number, self.pupil_magnification)
-        ):
+        least = np.minimum(
+            np.minimum(self.focal_length_mm, self.f_number), self.pupil_magnification
+        )
+        if not np.all(least > 0):
             raise ValueError(
                 f"focal length, f-number and pupil magnification must be positive: {self}"
             )

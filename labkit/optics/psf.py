@@ -80,6 +80,7 @@ def smooth_disc(offsets: Floats, radius: float) -> Floats:
     return np.asarray(octant[np.ix_(places, places)])
 
 
+@lru_cache
 def _kernel(piece: int) -> Polynomial:
     """Return the kernel between two whole numbers: 1 at 0, and 0 at the other samples."""
     others = [
@@ -89,6 +90,13 @@ def _kernel(piece: int) -> Polynomial:
     return product / product(0.0)
 
 
+@lru_cache
+def _integral(piece: int) -> Polynomial:
+    """Return the kernel's integral from the piece's lower end."""
+    return _kernel(piece).integ(lbnd=piece)
+
+
+@lru_cache
 def _gauss(piece: int) -> tuple[Floats, Floats]:
     """Return nodes and weights of an integral times the kernel, over one of its pieces."""
     at, weight = np.polynomial.legendre.leggauss(KERNEL_REACH + 2)
@@ -101,7 +109,7 @@ def _primitive(t: Floats) -> Floats:
     s = np.minimum(np.abs(t), KERNEL_REACH)
     total = np.zeros_like(t)
     for piece in range(KERNEL_REACH):
-        total += _kernel(piece).integ(lbnd=piece)(np.clip(s, piece, piece + 1))
+        total += _integral(piece)(np.clip(s, piece, piece + 1))
     return np.copysign(total, t)
 
 
