@@ -68,8 +68,7 @@ def common_numbers(session: Estimate) -> CommonNumbers | None:
 
 def _modes(lens: LensFit) -> Iterator[Row]:
     """Yield all modes but defocus, of each channel with members."""
-    model, point = lens.model, lens.solved.point
-    values = model.true(point.theta, point.own)
+    model, values = lens.model, lens.true_values
     slopes = model.true_slopes(model.seen(lens.solved.slopes))
     members = {
         model.readings[k].key.channel: k

@@ -224,6 +224,11 @@ class LensFit:
         covariance = np.where(used, others, spread) + np.diag(self.model.scatter())
         return self.solved.predicted - away, covariance
 
+    @cached_property
+    def true_values(self) -> Floats:
+        """(n, values) of the observations for light and a pitch as stated, see `LensModel.true`."""
+        return self.model.true(self.solved.point.theta, self.solved.point.own)
+
     def posterior(self, k: int) -> tuple[Floats, Floats]:
         """Estimate the values of observation k from the whole session.
 
@@ -233,8 +238,7 @@ class LensFit:
         -------
         (values,) for the estimated wavelengths and pitch, see `LensModel.true`, and their covariance (values, values)
         """
-        model, point = self.model, self.solved.point
-        value = model.true(point.theta, point.own)[k]
+        model, value = self.model, self.true_values[k]
         slopes = model.seen(self.solved.slopes, np.array([k]))[0]
         whole = self.errors_of(model.true_slopes(slopes), k)
         if not model.laws.paraxial:
