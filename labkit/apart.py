@@ -43,19 +43,19 @@ Value = TypeVar("Value")
 Bytes = NDArray[np.uint8]
 
 SECONDS, BYTES_A_SECOND = 5, 4_000_000
-"""Processor time that a file may take: so much, and a second for each so many bytes of it. Raw files take a tenth."""
+"""Processor time allowed for a file: a constant, and a second per so many bytes. Raw files take a tenth of this."""
 
 MEMORY_BYTES, MEMORY_A_BYTE = 2**31, 64
-"""Memory that a file may take: so much, and so many bytes for each byte of it. It takes ten times the pixels at most."""
+"""Memory allowed for a file: a constant, and so many bytes per byte. Decoding takes up to ten times the pixels."""
 
 BACKSTOP_S = 1800
-"""Of the clock, for what takes no processor time."""
+"""Longest wall time, for decoders that wait without using the processor."""
 
 MOST_ANSWER_BYTES = 2**32
 
 LENGTH = struct.Struct("<Q")
 NUMBER_TYPES = re.compile(r"[<>|][biuf]\d")
-"""What arrays hold, and nothing that is an address."""
+"""Types of arrays: numbers only, no pointers."""
 
 SHARED_ERRORS: dict[str, type[InputError]] = {
     one.__name__: one for one in (InputError, RawError)

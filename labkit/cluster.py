@@ -72,7 +72,7 @@ def on_dask(address: str) -> Iterator[Executed]:
 
 
 def _silence() -> None:
-    """Keep distributed from printing what labkit says in one line. Some of its loggers have levels of their own."""
+    """Silence distributed's loggers, some of which have levels of their own: labkit reports their faults in one line."""
     for name in ("distributed", "distributed.client"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
 

@@ -168,7 +168,7 @@ class Comparison:
 
 
 def unwatched(stage: str) -> AbstractContextManager[Report]:
-    """Return the progress of a demo that nobody watches."""
+    """Return the progress of a demo without a monitor."""
     return nullcontext(no_progress)
 
 

@@ -31,7 +31,7 @@ LONGEST_VALUE = 60
 class LabkitError(Exception):
     """Base of every error that labkit raises on purpose.
 
-    The message is printable, whatever text of a file or a device is in it.
+    Messages are printable: control characters in texts of files and devices are replaced.
 
     >>> try:
     ...     results = labkit.fit("night-3")
@@ -46,7 +46,7 @@ class LabkitError(Exception):
 
 
 class InputError(LabkitError):
-    """An input cannot be used as it is."""
+    """An unusable input."""
 
     exit_status = 2
 
@@ -72,7 +72,7 @@ class DataError(InputError):
 
 
 class NewerError(DataError):
-    """Results that a newer labkit made, which this one must not replace."""
+    """Results of a newer labkit, which must not be replaced."""
 
 
 class FitError(LabkitError):
@@ -126,6 +126,6 @@ def printable(text: str) -> str:
 
 
 def shown(value: object) -> str:
-    """Return a value as a message repeats it: as Python writes it, shortened."""
+    """Return a value for a message: its Python repr, shortened."""
     text = repr(value)
     return text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 3]}..."

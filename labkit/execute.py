@@ -136,7 +136,7 @@ class Workers:
         return Executed(self._processes, self._count, self._listen)(function, tasks)
 
     def _listen(self) -> None:
-        """Pass on what tasks said."""
+        """Pass on messages of tasks."""
         if self._processes is not None and self._heard is not None:
             for step in self._processes.said():
                 self._heard(step)
@@ -304,7 +304,7 @@ def import_for_tasks(module: str) -> None:
 
 @lru_cache
 def _pin_once(module: str) -> None:
-    """Pin threads after a module is imported: libraries that it brings have threads of their own."""
+    """Pin threads after the import of a module: its libraries have threads of their own."""
     pin_threads()
 
 

@@ -16,7 +16,7 @@ from typing import Any, BinaryIO
 from labkit.errors import InputError, SessionError
 
 MOST_LINKS = 10
-"""That one message names."""
+"""Number of names in one message."""
 
 
 def open_standard_streams() -> None:

@@ -86,7 +86,7 @@ def _plain(value: JSON) -> JSON:
 
 
 UNANSWERED_CODES = ("fit-left-out", "no-best-focus", "channel-without-best-focus")
-"""Codes that say what was to be estimated and could not be."""
+"""Codes of findings about quantities that could not be estimated."""
 
 
 CONFIRMED_BY = {
@@ -101,7 +101,7 @@ LIKE_PIXELS = ("low_pass_filter", "diffusion")
 
 
 ERRORS_OF = {"starts": "how much its numbers err is not known"}
-"""What is known of the errors of an incomplete model, by the name of the test: starts alone decide at one range."""
+"""Statement about the errors of an incomplete model, by the test's name: at one range only starts decide."""
 
 
 def found(

@@ -76,7 +76,7 @@ class Processes(Executor):
         return job
 
     def said(self) -> Iterator[str]:
-        """Yield what tasks said since the last call."""
+        """Yield messages of tasks since the last call."""
         with suppress(Empty):
             while True:
                 yield self._said.get_nowait()
@@ -117,7 +117,7 @@ class Processes(Executor):
 
 
 class _Job(Future[Any]):
-    """The future of a task, and what is sent for it."""
+    """The future of a task, and the message to a process."""
 
     def __init__(self, content: bytes) -> None:
         super().__init__()
@@ -217,7 +217,7 @@ def _reply(pipe: Connection, content: bytes) -> None:
 
 
 def _packed_error(error: BaseException) -> bytes:
-    """Return the message of an exception; of one that cannot travel, its text."""
+    """Return the message of an exception; the text of exceptions that cannot be pickled."""
     try:
         sent = pickle.dumps((FAILED, error))
         pickle.loads(sent)
@@ -239,7 +239,7 @@ _start = threading.Lock()
 
 
 def _begin_tracker() -> None:
-    """Start Python's resource tracker so that it works unseen.
+    """Start Python's resource tracker detached from the terminal.
 
     A closed terminal does not end the tracker, and its messages go nowhere.
     """

@@ -13,7 +13,7 @@ from typing import Any, Generic, TypeVar
 Value = TypeVar("Value")
 
 KEPT = 8
-"""Shared values that a process keeps: targets, and the photographs that it is at work on."""
+"""Number of shared values kept by a process: targets, and photographs of the tasks under way."""
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ KINDS: dict[type, str] = {
 """Of numbers of any size."""
 
 FIELDS = "__dataclass_fields__"
-"""What marks a data class."""
+"""Key that marks a data class."""
 
 PLAIN: dict[type, Callable[[Any], JSON]] = {
     float: float,
@@ -42,7 +42,7 @@ PLAIN: dict[type, Callable[[Any], JSON]] = {
     bool: bool,
     str: str,
 }
-"""Types that JSON has, and what makes Python's own of NumPy's."""
+"""JSON's types, and conversions from NumPy's types to Python's."""
 
 
 def dump(value: object, kind: Any) -> bytes:

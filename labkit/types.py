@@ -14,7 +14,7 @@ Complexes = NDArray[np.complex128]
 Complexes64 = NDArray[np.complex64]
 AnyFloats = NDArray[np.floating]
 AnyComplexes = NDArray[np.complexfloating]
-"""In whatever precision they are."""
+"""Arrays of any precision."""
 
 Integers = NDArray[np.signedinteger]
 Indices = NDArray[np.intp]
@@ -23,15 +23,15 @@ Counts = NDArray[np.uint16]
 """Numbers as a raw file holds them."""
 
 JSON = None | bool | int | float | str | Sequence["JSON"] | Mapping[str, "JSON"]
-"""What a JSON file can hold."""
+"""Contents of a JSON file."""
 
 FrameKind = Literal["target", "flat", "dark", "bias"]
-"""What a photograph of a session is for."""
+"""Purpose of a session's photograph."""
 
 FRAME_KINDS: tuple[FrameKind, ...] = ("target", "flat", "dark", "bias")
 
 Progress = Callable[[int, int, str], None]
-"""Called with (steps done, steps in all, the step that begins) as work goes on; 0 in all where that is not known yet."""
+"""Called with (steps done, steps in all, the step that begins) as work goes on; 0 in all while the number is unknown."""
 
 
 def no_progress(done: int, total: int, step: str) -> None:

@@ -59,7 +59,7 @@ Result = TypeVar("Result")
 NO_LIBUSB = "libusb is missing (Debian: apt-get install libusb-1.0-0)"
 
 ON_NETWORK = "PTP/IP Camera"
-"""What libgphoto2 calls any camera on a network: it does not look for them."""
+"""Model name of every camera on a network: libgphoto2 does not search networks."""
 
 NETWORK_SILENT = "it does not answer over the network: look at battery and screen, compare the address with its network menu"
 
@@ -77,7 +77,7 @@ TRY_PAUSES_S = (0.5, 2.0, 5.0)
 """Pauses before new tries: an operation is tried four times."""
 
 ASK_S, OPEN_S, CLOSE_S = 10.0, 30.0, 10.0
-"""Longest time for a question to the body; for opening it, which lists all its settings; for closing it."""
+"""Longest times for a request to the body, for opening the body, which lists all settings, and for closing the body."""
 
 RELEASE_S = 30.0
 """An exposure, the body's own noise reduction (as long again) and the transfer take at most this and twice the time."""

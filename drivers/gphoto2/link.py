@@ -32,7 +32,7 @@ HUNG, DIED = 1, 2
 """Codes of troubles that libgphoto2 cannot report itself."""
 
 KILL_S = 5.0
-"""A process that is stuck in the kernel does not even die: then it is left behind."""
+"""A process stuck in the kernel cannot be killed: labkit waits this long, then abandons the process."""
 
 
 class Trouble(CameraError):  # noqa: N818

@@ -24,7 +24,7 @@ FORMAT_NAMES = ("imagequality", "imageformat")
 STORAGE_NAMES = ("capturetarget",)
 
 SAME_CHOICE = 0.02
-"""A choice this near to what was asked is it: bodies round 1/60 s to 0.0167."""
+"""Relative difference up to which a choice is the requested value: bodies round 1/60 s to 0.0167."""
 
 BULB = re.compile(r"bulb", re.IGNORECASE)
 RAW = re.compile(

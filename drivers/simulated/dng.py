@@ -25,7 +25,7 @@ CFA_COLOURS = {"R": 0, "G": 1, "B": 2}
 CFA_PHOTOMETRIC = 32803
 EXIF_TAG = 34665
 KEPT_FOR_EXIF = EXIF_TAG - 1
-"""tifffile writes no Exif entry: this one is written in its place, and becomes it."""
+"""Placeholder for the Exif entry, which tifffile cannot write: it is changed to Exif afterwards."""
 
 BYTE = 1
 ASCII = 2

@@ -204,7 +204,7 @@ class Distortion:
 
 MOST_NEWTON_STEPS = 12
 STRAIGHT_WITHIN = 1e-7
-"""Relative: the step that is as small leaves the square of it."""
+"""Relative convergence: after a step of this size the error is its square."""
 
 LEAST_Q = -0.14
 

@@ -32,7 +32,7 @@ from labkit.drivers.simulated.world import BenchSettings
 from labkit.types import Floats32
 
 MOST_AT_ONCE = 640
-"""Side of a sensor that is rendered all at once, in 2 GB; a larger one is rendered in tiles: 2288 × 2288 pixels in 1.0 GB."""
+"""Largest side of a sensor rendered at once, in 2 GB; larger sensors are rendered in tiles: 2288 × 2288 pixels in 1.0 GB."""
 
 KEPT_SPREADS = 64
 """PSFs kept at least, of all colours together; more where a row of knots has more."""

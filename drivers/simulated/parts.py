@@ -13,7 +13,7 @@ LEAST_VEIL_PX = 2.0
 """A veil is laid from pixel to pixel, and a narrower one would alias: a Gaussian of two pixels keeps 3e-9 at half a cycle."""
 
 LEAST_PARALLELOGRAM_SIDE = 1e-6
-"""Of a parallelogram, in panel pixels: a narrower one is taken to be as wide as that, lest 0 be divided by 0."""
+"""Least width of a parallelogram, panel pixels, so that 0 is not divided by 0."""
 
 Sides = tuple[Floats, Floats, Floats]
 """Along one direction of the panel: a parallelogram's middle, and how far each of its two sides reaches."""

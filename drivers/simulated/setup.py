@@ -35,10 +35,10 @@ FEWEST_SAMPLES, NEAR_HALO_UM = 4, 200.0
 """To a pixel, and how far light is followed ring by ring, on a sensor that is rendered in tiles: less of each is less work."""
 
 S_PER_MEGAPIXEL = 25.0
-"""About what a picture of a colour mosaic takes on one core, where it is rendered in tiles."""
+"""Approximate time to render a colour mosaic in tiles on one core."""
 
 WHITE_COUNTS = 10_350.0
-"""What the white panel gives at the plan's exposure: the lamp is set for it, two thirds of a 14-bit sensor."""
+"""Counts of the white panel at the plan's exposure, two thirds of a 14-bit sensor: the lamp is set accordingly."""
 
 
 def shared_bench(context: DeviceContext, address: str, plan: Plan) -> Lease[Bench]:

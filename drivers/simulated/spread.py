@@ -30,8 +30,8 @@ from labkit.drivers.simulated.world import BenchSettings, TrueLens
 from labkit.types import Floats, Floats32
 
 SINC_REACH, SINC_BETA = 32, 9.0
-"""Half the width of the windowed sinc, samples, and Kaiser's beta: within 4e-5 of one up to nine tenths of Nyquist's
-frequency, where a PSF has a hundredth of its contrast left and a pixel a twentieth of that."""
+"""Half the width of the windowed sinc, samples, and Kaiser's beta: the response is within 4e-5 of unity up to nine
+tenths of Nyquist's frequency, where the contrast of a PSF is 0.01 and with the pixel 0.0005."""
 
 FARTHEST_PX = 640
 """Light is not followed farther than this: of an f/2.8 lens on pixels of 5 um less than 1e-4 goes beyond."""

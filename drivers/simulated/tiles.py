@@ -100,7 +100,7 @@ def _patches_along(
 
 
 def _lagrange(at: Floats, knot: float, knots: list[float]) -> Floats:
-    """Return the polynomial through all knots that is 1 at one of them, and 0 at the others."""
+    """Return the Lagrange polynomial of a knot: 1 at the knot, 0 at all others."""
     share = np.ones_like(at)
     for other in knots:
         if other != knot:

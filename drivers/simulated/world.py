@@ -68,7 +68,7 @@ class TrueLens:
     veil: Veil = field(default_factory=Veil)
     """Stray light, as vignetted as all light is."""
     field_terms: FieldTerms = field(default_factory=FieldTerms)
-    """What changes over the frame."""
+    """Properties of the lens that vary over the frame."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.higher_waves <= MOST_STATED_WAVES:

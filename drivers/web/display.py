@@ -22,7 +22,7 @@ from labkit.panel.panels import panel_info
 from labkit.plan import Plan
 
 HOLD_S = 600.0
-"""How long a capture is held for a display that is not right; then it stops, to be resumed."""
+"""Longest pause of a capture for a faulty display; then the capture stops and can be resumed."""
 
 PATIENCE_S = 2.0
 """A display that is right again sooner is not worth a warning."""

@@ -22,7 +22,7 @@ from labkit.devices.protocols import PanelInfo
 from labkit.errors import DisplayError
 
 SILENT_S = 4.0
-"""A page reports every second; one that is silent for this long is lost."""
+"""Longest silence of a page, which reports every second, before the page counts as lost."""
 
 SCALED_ALIKE = 0.005
 """Both sides off by the same factor, within this, mean that the picture is scaled."""

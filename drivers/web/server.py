@@ -41,7 +41,7 @@ from labkit.files import state_folder
 
 SERVER_START_S = SERVER_STOP_S = 10.0
 SEND_S = PONG_S = 10.0
-"""A page that takes longer to accept a message, or to answer a ping, is let go; it comes back by itself."""
+"""Longest time for a page to accept a message or answer a ping; then its connection is closed, and the page reconnects."""
 
 PING_S = 5.0
 
@@ -53,7 +53,7 @@ MOST_REFUSED_BYTES = 32 * MOST_MESSAGE_BYTES
 
 MOST_MONITORS = 32
 AT_MOST_EVERY_S, AT_LEAST_EVERY_S = 0.2, 2.0
-"""How often the operator's page gets what is new, and any page a sign that the server is there."""
+"""Intervals of updates to the operator's page, and of heartbeats to every page."""
 
 TYPES = {
     ".html": "text/html; charset=utf-8",

@@ -10,7 +10,7 @@ from labkit.drivers.zaber.rail import AXIS, DEVICE
 
 PROBE_ANSWER_S = 0.5
 PROBE_NUMBER = 17
-"""Of the question: that of its answer."""
+"""Message id of the request, which the reply repeats."""
 
 
 def answers(path: str) -> str | None:

@@ -10,7 +10,7 @@ REPLY = re.compile(
 )
 
 SPEED_UNIT = 1.6384
-"""Data of maxspeed to microsteps per second: divide by it."""
+"""Divisor from data of maxspeed to microsteps per second."""
 
 UNREFERENCED = {"WR", "WH", "WL"}
 """Warnings after which the position means nothing: no reference, not homed, a limit met unexpectedly."""

@@ -43,7 +43,7 @@ channel = [{{ name = "G", wavelength_nm = 550.0 }}]
 address = "{address}"
 exposure_s = 0.01
 """
-"""A plan that holds nothing but where the camera is."""
+"""A plan with the camera's address only."""
 
 BLOCKS = 8
 """Noise is looked for in 8 × 8 parts of a photograph."""

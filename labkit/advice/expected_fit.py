@@ -30,7 +30,7 @@ EXPECTED_WAVES_RMS = 0.05
 """All modes except defocus together, of a usual lens."""
 
 LEAST_DEFOCUS_WAVES = 0.01
-"""Without any defocus, a little of it changes a picture in second order only, and the information would miss it."""
+"""Least defocus of an expected fit: at focus a picture depends on defocus in second order only, without Fisher information."""
 
 TURN_RAD = 0.02
 SHIFT_PX = 0.3

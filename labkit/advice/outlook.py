@@ -34,16 +34,16 @@ CLOSEST = 3.0
 """Least range that is proposed, in focal lengths: nearer ones are macro photography."""
 
 CLEARLY = 0.8
-"""Of the largest error that determines the pupil magnification: proposed ranges stay below it."""
+"""Share of the largest error that determines the pupil magnification: proposed ranges stay below this share."""
 
 TRIED = 25
 """How many nearest ranges are tried."""
 
 DETERMINED = 0.5
-"""Of a stated error: a session that leaves more of it has hardly determined the number."""
+"""Share of a stated error: a session with a larger remaining error has hardly determined the number."""
 
 WORTH = 0.5
-"""Of an error: a further measurement that leaves more of it is not named."""
+"""Share of an error: a further measurement with a larger remaining error is not named."""
 
 LENS_NUMBERS = {
     "focal_length_mm": ("focal length", " mm"),

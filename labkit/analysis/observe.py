@@ -61,7 +61,7 @@ LEAST_BRIGHT_SHARE = 0.5
 class _Shot:
     """A decoded photograph of the target, with the corners (4, 2) in pixels of every tile that was found.
 
-    A target that is whole has one tile: that of its place in the frame, or None.
+    A whole target has one tile, the place in the frame or None.
     """
 
     frame: Frame
@@ -218,9 +218,9 @@ def selected(
 
 
 def _regions(shots: Sequence[_Shot], plan: Plan) -> tuple[list[_Region], list[Finding]]:
-    """Return what is fitted of the photographs of a range, and findings about a grid's targets that are not found.
+    """Return the observations of a range, and findings about a grid's missing targets.
 
-    A grid's targets that all photographs show, the tiles of a single target, or the whole target.
+    Observations are a grid's targets in all photographs, the tiles of a single target, or the whole target.
     """
     shape = shots[0].mosaic.shape
     tiles = [

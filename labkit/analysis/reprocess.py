@@ -35,11 +35,11 @@ class Reprocessed:
     Attributes
     ----------
     session : its folder
-    state : "up to date" needs nothing, "to do" is to be fitted, "fitted" was, "failed" stays to be done, "skipped" has
-        results that a newer labkit made
+    state : "up to date", "to do" (a fit is due), "fitted", "failed" (a fit is still due), or "skipped" (results are of a
+        newer labkit)
     why : reason for the state
     fits : number of wavefronts in the results; 0 without results
-    seconds : time that those fits took
+    seconds : time of the fits
     """
 
     session: Path
@@ -73,17 +73,16 @@ def reprocess(
 ) -> tuple[Reprocessed, ...]:
     """Fit sessions again whose results of a name are missing or out of date, with the settings of those results.
 
-    The sessions' fits are one stream: workers that one session leaves idle serve the next.
-    Every fit is kept as it ends. After an interruption the same call makes only what is
-    missing.
+    The fits of all sessions are one stream: idle workers start on the next session. Every
+    fit is kept as it ends, so the same call continues after an interruption.
 
     Parameters
     ----------
     sessions : their folders
     name : name of the results in each session
-    force : whether results that are up to date are made again
-    dry_run : whether nothing is fitted or written
-    accept_failed : whether results are accepted without the fits that failed; else such a session stays "failed"
+    force : whether to fit again if results are up to date
+    dry_run : whether only to report, without fits or files
+    accept_failed : whether to accept results without failed fits; else the session stays "failed"
     workers : number of processes, by default one for each core
     run : an executor of `concurrent.futures`, or any `labkit.execute.Run`, in place of processes of this machine
     progress : called with the step under way; steps are sessions
@@ -132,7 +131,7 @@ def _refuse_doubled(folders: Sequence[Path]) -> None:
 def _examined(
     folder: Path, name: str, force: bool, accept_failed: bool, dry_run: bool
 ) -> Reprocessed:
-    """Return what is to be done with a session; record that its failed fits are accepted."""
+    """Return the work due for a session; record the acceptance of failed fits."""
     try:
         session = Session.open(folder)
         results = session.folder / "results" / check_name(name)

@@ -31,7 +31,7 @@ LEAST_DEFECT = 0.05
 """A pixel whose response is nearer than this to its neighbours' is no defect, however well it is measured."""
 
 LEAST_LIT_BETWEEN = 0.2
-"""Of its surroundings' light, what a pixel gets between a panel's pixels that still determines its response."""
+"""Least light of a pixel between a panel's pixels, as a share of its surroundings', for which its response is determined."""
 
 NEAR_PX = 3.0
 """Pixels of a plane: over so little light is smoothed where a panel is near enough to show its pixels. Its unevenness shows

@@ -27,13 +27,13 @@ from labkit.types import Floats
 
 WEDGE = "wedge:size_mm=100"
 PATCHES = (4, 8)
-"""Rows and columns of steps in it."""
+"""Rows and columns of steps in the wedge."""
 
 INSIDE = 0.5
 """Of a step's side is looked at, about its middle: the rest is blurred with its neighbours."""
 
 LEAST_STEP_PIXELS = 64
-"""Of a step that is looked at."""
+"""Least number of evaluated pixels in a step."""
 
 CLIPPED = 0.01
 """Of a step's pixels at full scale: more of them, and the mean is too low."""

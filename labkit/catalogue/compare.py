@@ -1,6 +1,6 @@
 """Whether two sessions are of one lens: the numbers that both determined, with the joint covariance of their differences.
 
-What may differ without the lens being another is not tested: the pose of the target, the tape, and where the lens was focused.
+Numbers that differ between sessions of one lens are not tested: the target's pose, range zero, and the focus setting.
 Wavefronts are on the sensor's axes, whichever way the camera was turned. If both sessions are of one lens, the error of a
 number that both plans state alike, such as the engraved f-number, is the same error in both, and hardly moves a difference.
 """

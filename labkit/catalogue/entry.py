@@ -73,7 +73,7 @@ class Entry:
 
 
 def read_entry(session: Path, name: str) -> Entry:
-    """Read an entry from a session's folder; what is wrong with it is its `problem`.
+    """Read an entry from a session's folder; faults of the session are its `problem`.
 
     Parameters
     ----------

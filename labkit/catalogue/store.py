@@ -1,7 +1,7 @@
-"""The catalogue's file: SQLite beside the sessions, always to be had again from their folders.
+"""The catalogue's file: SQLite next to the sessions, which can always be rebuilt from their folders.
 
-It is brought up to date as it is read: results whose file has another size or time than in the catalogue are read again. No fit
-writes to it, so none waits for it.
+Reading updates the catalogue: results whose file differs in size or time from the catalogue's entry are read again. Fits do
+not write to the catalogue, so no fit waits for a lock.
 """
 
 from __future__ import annotations

@@ -217,7 +217,7 @@ def focal_surface(
 ) -> FocalSurface | None:
     """Return the surface through the foci of a kind; None for too few places, or places on one line.
 
-    f_number : its relative error is one of the scale of µm
+    f_number : its relative error is also the relative error of all lengths in µm
     """
     k = FOCUS_KINDS.index(kind)
     used = [of for of in foci if np.isfinite(of.um[k])]

@@ -99,7 +99,7 @@ def run(args: Sequence[str], *, leaving: bool = False) -> int:
 def _interrupts(console: Console, leaving: bool) -> Iterator[None]:
     """End a command on SIGTERM and SIGHUP as on Ctrl-C: cleanly, with one line.
 
-    leaving: after an interrupt ignore all others, so that the process ends with its own
+    leaving: whether further interrupts are ignored, so that the process ends with its own
     status.
     """
 

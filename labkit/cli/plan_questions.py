@@ -55,7 +55,7 @@ WORDS = {
     "display.address": "Display: web://0.0.0.0:8642 for a tablet or browser, manual: for paper",
     "display.panel": "Panel: {panels}",
 }
-"""The questions, by key; what has none is written as the draft has it."""
+"""Questions by key; keys without a question keep the draft's value."""
 
 CHANNEL = "[[channel]]"
 UNKNOWN_LIGHT = "unknown"

@@ -28,7 +28,7 @@ STABLE_NAMES = Path("/dev/serial/by-id")
 """Where Linux's udev keeps names of serial ports that do not change with the order of plugging."""
 
 PROC = Path("/proc")
-"""Where Linux lists the files that each program has open."""
+"""Folder in which Linux lists the open files of each process."""
 
 RULES_FILE = "/etc/udev/rules.d/70-labkit.rules"
 """A number below 73, or the tag uaccess comes too late."""

@@ -20,7 +20,7 @@ TERMINAL_POLL_S = 0.1
 """How often the terminal and the pages are looked at in turn."""
 
 Wants = Literal["number", "done"]
-"""What answers a question: a number in any spelling, which the caller checks, or only that it is done."""
+"""Kinds of answers: a number in any spelling, which the caller checks, or a confirmation."""
 
 
 @dataclass(frozen=True, slots=True)

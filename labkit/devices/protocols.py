@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from labkit.panel import PanelInfo as PanelInfo
 
 Picture = Literal["white", "black"] | NDArray[np.uint8]
-"""What a display shows: all of the panel in one grey, or grey values of panel pixels, centred, black around them."""
+"""Picture on a display: a uniform grey, or grey values of panel pixels, centred on black."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +95,7 @@ class Shown:
 
 
 class ClosesItself(ABC):
-    """Base of drivers: the context manager that every device is."""
+    """Base of drivers: every device is a context manager."""
 
     @abstractmethod
     def close(self) -> None:
@@ -153,7 +153,7 @@ class Previewing(Protocol):
 
 @runtime_checkable
 class Coverable(Protocol):
-    """A camera that can shut out the light by itself. Other cameras need a hand that puts the cap on."""
+    """A camera that can cover its lens. Other cameras need an operator who puts the cap on."""
 
     def cover(self, closed: bool) -> None:
         """Shut the light out, or let it in."""

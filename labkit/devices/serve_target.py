@@ -24,7 +24,7 @@ TARGET_CHOICE = "target"
 CHOICES = (TARGET_CHOICE, *PATTERNS)
 
 REQUEST_POLL_S = 0.2
-"""How often it is looked whether to go on."""
+"""Interval between checks of `going`."""
 
 RETRY_S = 1.0
 """After a display has failed; most of them have waited long before they say so."""
@@ -73,7 +73,7 @@ def keep_showing(
 ) -> None:
     """Show the target on every display, then each of CHOICES that arrives by context.requests, while `going`.
 
-    A display that is not ready is waited for, without end. Raises TargetError for a panel
+    Wait without limit for displays to become ready. Raises TargetError for a panel
     too small for the target.
     """
     pictures = {

@@ -9,11 +9,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.optimize import dual_annealing
 
-from labkit.experiments.conditions import NOLL, draw_trial
+from labkit.experiments.conditions import NOLL, SEVEN, draw_trial
 from labkit.experiments.runner import Claim, Outcome, Setting, all_answers
 from labkit.types import Floats
 
-SEVEN = tuple(range(4, 11))
 BOUND_WAVES = 0.25  # of every mode, for the annealing
 FOUND = 50.0  # log-likelihoods below that of the true wavefront that still belong to its optimum
 

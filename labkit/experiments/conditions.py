@@ -21,19 +21,20 @@ from labkit.target import Target, open_target
 from labkit.types import Floats
 
 NOLL = tuple(range(4, 16))
+SEVEN = tuple(range(4, 11))  # the modes of the thesis's smaller problem
 WAVES_RMS = 0.25
 ORDER = 5
 FRAME = 106
 SIDE_PX = 70.0
 WAVELENGTH_UM = 0.55
-F_NUMBER = 8.0
+THESIS_F_NUMBER = 8.0
 PITCH_UM = 5.5
-AIRY_UM = WAVELENGTH_UM * F_NUMBER  # lambda N; the pitch is 2.5 times half of it
+AIRY_UM = WAVELENGTH_UM * THESIS_F_NUMBER  # lambda N; the pitch is 2.5 times half of it
 PHOTONS = 2.05e5  # a pixel, on average over the carpet
 GAIN = 1 / 2000  # counts a photon
 NOISE_STD = 0.01  # relative, of gain and read variance as measured beforehand
 SNR = 75.0  # deviation of the picture without noise over that of its noise; the thesis's read noise of 0.68 counts
-CAMERA = Camera(WAVELENGTH_UM, F_NUMBER, PITCH_UM, 216, FRAME, 3)
+CAMERA = Camera(WAVELENGTH_UM, THESIS_F_NUMBER, PITCH_UM, 216, FRAME, 3)
 WHITE = PHOTONS * GAIN / (1 - (8 / 9) ** ORDER)  # counts
 FOUND_BOUNDS = 6.0  # an estimate nearer to the truth than so many bounds is in its optimum
 
@@ -155,7 +156,7 @@ def optics(noll: tuple[int, ...]) -> Optics:
     return Optics(
         wavelength_nm=1e3 * WAVELENGTH_UM,
         reference_nm=1e3 * WAVELENGTH_UM,
-        f_number=F_NUMBER,
+        f_number=THESIS_F_NUMBER,
         pitch_um=PITCH_UM,
         active_um=PITCH_UM,
         noll=noll,

@@ -15,7 +15,7 @@ import scipy.fft
 from labkit.optics.zernike import zernike
 from labkit.types import Complexes, Floats
 
-SHADES = 3  # subsamples along a side of a pupil sample: its edge's grey
+SAMPLES_OF_RIM = 3  # subsamples along a side of a pupil sample: its edge's grey
 PERIODS = 2.5  # of the sampled pupil's field, in windows: what comes around is dark
 
 
@@ -85,13 +85,18 @@ class EdgeCamera:
         radius = period * spacing / (2 * self.wavelength_um * self.f_number)
         half = int(radius) + 2
         fine = (
-            (np.arange((2 * half + 1) * SHADES) - ((2 * half + 1) * SHADES - 1) / 2)
-            / SHADES
+            (
+                np.arange((2 * half + 1) * SAMPLES_OF_RIM)
+                - ((2 * half + 1) * SAMPLES_OF_RIM - 1) / 2
+            )
+            / SAMPLES_OF_RIM
             / radius
         )
         fine = fine.astype(np.float32)
         inside = np.hypot(fine[:, None], fine[None, :]) < 1
-        disc = inside.reshape(2 * half + 1, SHADES, 2 * half + 1, SHADES).mean(axis=(1, 3))
+        disc = inside.reshape(
+            2 * half + 1, SAMPLES_OF_RIM, 2 * half + 1, SAMPLES_OF_RIM
+        ).mean(axis=(1, 3))
         axis = np.arange(-half, half + 1) / radius
         rho = np.hypot(axis[:, None], axis)
         theta = np.arctan2(axis[:, None], axis)

@@ -18,6 +18,7 @@ from labkit.edges.first_fits import fit_depth, rough_edge
 from labkit.edges.ranges import FocusLaw, edge_range
 from labkit.edges.region import Region
 from labkit.estimation.climb import NoisePrior
+from labkit.experiments.conditions import NOLL
 from labkit.experiments.edge_camera import EdgeCamera
 from labkit.experiments.runner import Claim, Outcome, Setting, all_answers
 from labkit.figure_style import SOFT_INK
@@ -26,30 +27,29 @@ from labkit.optics.lens import ThinLens, defocus_waves
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
-NOLL = tuple(range(4, 16))
 WAVELENGTH_NM = 450.0
 FOCUS_MM = 5012.0
 RANGES_MM = (5000.0, 7700.0)
 THESIS_ERRORS_MM = (21.0, 71.0)  # 5.021 m and 7.771 m
 LENS = ThinLens(70.0, 2.8, 0.985)
-PITCH_UM, STEP, FRAME = (
+EDGE_PITCH_UM, EDGE_STEP, EDGE_FRAME = (
     4.78,
     2,
     40,
 )  # one plane of four, 40 x 40 of its pixels around each edge
-CAMERA = EdgeCamera(
+EDGE_CAMERA = EdgeCamera(
     WAVELENGTH_NM * 1e-3,
     float(LENS.working_f_number(FOCUS_MM)),
-    PITCH_UM,
-    step=STEP,
-    frame=FRAME,
+    EDGE_PITCH_UM,
+    step=EDGE_STEP,
+    frame=EDGE_FRAME,
     reach_px=80,
 )
 SIDES_E = (
     9_000.0,
     23_000.0,
 )  # electrons of envelope and paper: the thesis states none; those of its bench frames
-GAIN, READ_NOISE = 0.4, 1.5  # counts per electron, counts
+EDGE_GAIN, EDGE_READ_NOISE = 0.4, 1.5  # counts per electron, counts
 LENS_WAVES = 0.1
 KNOWN_WAVES = 0.002
 DEFOCUS_WAVES = 0.01  # what the thesis's figures take for granted
@@ -111,9 +111,9 @@ def optics() -> Optics:
     return Optics(
         wavelength_nm=WAVELENGTH_NM,
         reference_nm=WAVELENGTH_NM,
-        f_number=CAMERA.f_number,
-        pitch_um=PITCH_UM,
-        active_um=PITCH_UM,
+        f_number=EDGE_CAMERA.f_number,
+        pitch_um=EDGE_PITCH_UM,
+        active_um=EDGE_PITCH_UM,
         noll=NOLL,
     )
 
@@ -130,7 +130,7 @@ def range_scenes(lens: Lens) -> list[Ranged]:
         for _ in range(lens.scenes * len(true))
     ]
     means = [  # all of one range first: its PSF is made once
-        CAMERA.mean(
+        EDGE_CAMERA.mean(
             *poses[k * lens.scenes + s], SIDES_E, np.concatenate([[waves], modes]), NOLL
         )
         for k, waves in enumerate(true)
@@ -149,7 +149,7 @@ def _ranged(
     means: list[Floats], true: list[float], known: LensPrior, rng: np.random.Generator
 ) -> list[Ranged]:
     """Range one scene."""
-    noise = NoisePrior(GAIN, 2.0, READ_NOISE**2, 2.0)
+    noise = NoisePrior(EDGE_GAIN, 2.0, EDGE_READ_NOISE**2, 2.0)
     regions = tuple(_region(mean, depth, rng) for depth, mean in enumerate(means))
     problem = EdgeProblem((optics(),), regions, (noise,), known)
     ends = [
@@ -180,10 +180,10 @@ def _ranged(
 
 
 def _region(mean_e: Floats, depth: int, rng: np.random.Generator) -> Region:
-    counts = GAIN * rng.poisson(mean_e) + rng.normal(0, READ_NOISE, mean_e.shape)
-    places = STEP * np.arange(float(FRAME))
+    counts = EDGE_GAIN * rng.poisson(mean_e) + rng.normal(0, EDGE_READ_NOISE, mean_e.shape)
+    places = EDGE_STEP * np.arange(float(EDGE_FRAME))
     rows, columns = (a.ravel() for a in np.meshgrid(places, places, indexing="ij"))
-    middle = (FRAME * STEP - 1) / 2
+    middle = (EDGE_FRAME * EDGE_STEP - 1) / 2
     return Region(rows, columns, counts.ravel(), (middle, middle), 0, depth)
 
 

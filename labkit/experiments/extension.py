@@ -15,7 +15,7 @@ from labkit.experiments.runner import Claim, Outcome, Setting, all_answers
 from labkit.figure_style import panels
 from labkit.types import Bools, Floats
 
-PICTURES = (
+EXTENDED_PICTURES = (
     "camera",
     "moon",
     "coins",
@@ -26,7 +26,7 @@ PICTURES = (
 SIDE = 128  # samples of a picture, each the mean of several
 EXTERIOR = SIDE // 8  # wide, on every side, where it is unknown
 RADIUS = 3  # samples around a hole that OpenCV's two look at
-OURS = "minimum bandwidth"
+MINIMUM_BANDWIDTH = "minimum bandwidth"
 NEAREST = "biharmonic"
 
 
@@ -103,7 +103,7 @@ def methods() -> dict[str, Callable[[Floats, Bools], Floats]]:
         return filled
 
     return {
-        OURS: fill,
+        MINIMUM_BANDWIDTH: fill,
         NEAREST: lambda image, known: np.asarray(biharmonic(image, ~known)),
         "OpenCV, Navier-Stokes": by_opencv(cv2.INPAINT_NS),
         "OpenCV, Telea": by_opencv(cv2.INPAINT_TELEA),
@@ -131,7 +131,9 @@ def work(task: Task) -> Answer:
 def run(setting: Setting) -> Outcome:
     """Measure the peak signal-to-noise ratio of each method, with the exterior unknown (A.2) and known (A.3)."""
     names = list(masks(np.random.default_rng(0)))
-    pictures, which = (PICTURES[:1], names[:2]) if setting.quick else (PICTURES, names)
+    pictures, which = (
+        (EXTENDED_PICTURES[:1], names[:2]) if setting.quick else (EXTENDED_PICTURES, names)
+    )
     tasks = [Task(p, m, known) for known in (False, True) for p in pictures for m in which]
     in_order = all_answers(
         setting, work, tasks, lambda task: f"{task.picture}, {task.mask}"
@@ -154,7 +156,7 @@ def run(setting: Setting) -> Outcome:
     def draw() -> Figure:
         figure, axes = panels(12, 6, 2.0)
         for k, known in enumerate((False, True)):
-            answer = answers[Task(PICTURES[0], names[0], known)]
+            answer = answers[Task(EXTENDED_PICTURES[0], names[0], known)]
             shown = {
                 "picture": answer.truth,
                 "known": np.where(answer.known, answer.truth, 0),
@@ -188,23 +190,37 @@ def _claims(rows: list[dict[str, Any]], n: int) -> list[Claim]:
             )
         )
 
-    others = [name for name in dict.fromkeys(row["method"] for row in rows) if name != OURS]
+    others = [
+        name
+        for name in dict.fromkeys(row["method"] for row in rows)
+        if name != MINIMUM_BANDWIDTH
+    ]
     claims = []
     for figure, where, thesis in (
         ("A.2", "exterior unknown", 28.8),
         ("A.3", "exterior known", 30.78),
     ):
-        ours = mean(figure, OURS)
-        claims.append(Claim(f"PSNR of {OURS}, {where}", thesis, ours, "dB", n))
+        ours = mean(figure, MINIMUM_BANDWIDTH)
+        claims.append(Claim(f"PSNR of {MINIMUM_BANDWIDTH}, {where}", thesis, ours, "dB", n))
         claims += [
-            Claim(f"{OURS} over {name}, {where}", None, ours - mean(figure, name), "dB", n)
+            Claim(
+                f"{MINIMUM_BANDWIDTH} over {name}, {where}",
+                None,
+                ours - mean(figure, name),
+                "dB",
+                n,
+            )
             for name in others
         ]
-    ours = mean("A.2", OURS, "psnr_whole_db")
-    claims.append(Claim(f"PSNR of {OURS}, exterior and all", 17.6, ours, "dB", n))
+    ours = mean("A.2", MINIMUM_BANDWIDTH, "psnr_whole_db")
+    claims.append(
+        Claim(f"PSNR of {MINIMUM_BANDWIDTH}, exterior and all", 17.6, ours, "dB", n)
+    )
     for name in others:
         over = ours - mean("A.2", name, "psnr_whole_db")
-        claims.append(Claim(f"{OURS} over {name}, exterior and all", None, over, "dB", n))
+        claims.append(
+            Claim(f"{MINIMUM_BANDWIDTH} over {name}, exterior and all", None, over, "dB", n)
+        )
     return claims
 
 

@@ -13,7 +13,7 @@ from labkit.experiments.conditions import Trial, draw_trial, random_waves
 from labkit.experiments.runner import Claim, Outcome, Setting, all_answers
 from labkit.types import Floats
 
-START_WAVES = 1e-3  # RMS: at exactly zero the likelihood has a saddle
+SADDLE_WAVES = 1e-3  # RMS: at exactly zero the likelihood has a saddle
 RIGHT_WAVES = 0.02  # RMS error below which the right optimum, or its twin, was reached
 
 
@@ -30,7 +30,7 @@ def work(seed: int) -> Answer:
     """Maximise three times in one image, its pose known each time."""
     rng = np.random.default_rng([41, seed])
     trial = draw_trial(rng)
-    near = random_waves(rng, len(trial.noll), START_WAVES)
+    near = random_waves(rng, len(trial.noll), SADDLE_WAVES)
     problem = trial.problem
     ends = [
         quasi_newton(trial, near),

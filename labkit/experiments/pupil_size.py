@@ -4,19 +4,18 @@ import numpy as np
 import scipy.fft
 from matplotlib.figure import Figure
 
-from labkit.experiments.conditions import random_waves
+from labkit.experiments.conditions import SEVEN, random_waves
 from labkit.experiments.methods.shaded_aperture import disc_area
 from labkit.experiments.runner import Claim, Outcome, Setting
 from labkit.optics.psf import Pupil
 from labkit.types import Floats
 
-NOLL = tuple(range(4, 11))  # the thesis's seven modes
 EDGES = {
     "smooth": None,
     "shaded": 2e-4,
     "binary": None,
 }  # of the pupil; the error that the thesis has at 225 samples
-AIRY_UM, WIDTH = 4.4, 16  # lambda N; the PSF is compared over so many of them
+COMPARED_AIRY_UM, WIDTH = 4.4, 16  # lambda N; the PSF is compared over so many of them
 
 
 def pupil_of(diameter: int) -> Pupil:
@@ -24,7 +23,7 @@ def pupil_of(diameter: int) -> Pupil:
 
     The radius is size * spacing / (2 lambda N).
     """
-    return Pupil(0.55, 0.55, 8.0, AIRY_UM / 4, 4 * diameter, NOLL)
+    return Pupil(0.55, 0.55, 8.0, COMPARED_AIRY_UM / 4, 4 * diameter, SEVEN)
 
 
 def psf_of(diameter: int, waves: Floats) -> Floats:
@@ -68,8 +67,8 @@ def run(setting: Setting) -> Outcome:
     )
     directions = 40 if setting.quick else 1000
     finest = 401 if setting.quick else 1025
-    zero = np.zeros(len(NOLL))
-    waves = [random_waves(rng, len(NOLL), 1e-3) for _ in range(directions)]
+    zero = np.zeros(len(SEVEN))
+    waves = [random_waves(rng, len(SEVEN), 1e-3) for _ in range(directions)]
     around = psf_of(129, zero)
     varied = np.array([np.abs(psf_of(129, w) - around).sum() for w in waves])
     setting.progress(1, 2, "variation")

@@ -66,7 +66,7 @@ def sees_no_neighbour(
 
 
 def sees_target_only(pose: Pose, shape: tuple[int, ...]) -> Bools:
-    """Return the pixels that see nothing but the target."""
+    """Return the mask of the pixels that see the target only."""
     corners = pose.corners_px()
     inset = int(np.ceil(max(INSET_PX, INSET * np.ptp(corners, axis=0).max())))
     framed = cv2.copyMakeBorder(outline(corners, shape), 1, 1, 1, 1, cv2.BORDER_REPLICATE)

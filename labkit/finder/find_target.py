@@ -32,12 +32,12 @@ from labkit.types import Floats
 Singles = NDArray[np.float32]
 
 LEAST_AGREEMENT = 0.6
-"""Correlation with the rendered target below which a picture does not show it: all of it and the median of 3×3 parts;
-half of it for the worst of the parts. Pictures of other things stay below 0.4, targets out of focus above 0.9."""
+"""Least correlation of a picture with the rendered target, for the whole target and for the median of 3×3 parts; the worst
+part needs half. Pictures of other objects stay below 0.4, targets out of focus above 0.9."""
 
 CLEAR_AGREEMENT, BEYOND_DOUBT = 0.9, 0.97
-"""Correlation of all of it from which on a target that lies outside of the frame is there, and below which another pose is no
-better: of a carpet partly outside a smaller one, whole, reaches 0.94, one far out of focus 0.98 and more."""
+"""Least correlation of a target partly outside the frame, and of a better pose. A smaller whole carpet reaches 0.94 on a
+carpet partly outside the frame; a carpet far out of focus has 0.98 and more."""
 
 SCALE_TOLERANCE = 0.15
 """How far `mm_per_pixel` may be off."""
@@ -49,7 +49,7 @@ The sweep looks for targets of 16 pixels and more; registration may shrink one b
 MOST_HYPOTHESES = 12
 
 MOST_OUTSIDE = 0.05
-"""Share of a target's side that may lie outside the frame: what is there is known, and modelled."""
+"""Largest share of a target's side outside the frame, where the drawing is known and modelled."""
 
 LEAST_TARGET_CONTRAST = 1.3
 """Bright over dark, below which a picture shows no target. Prints have 5 at the least; an even panel stays below 1.2,

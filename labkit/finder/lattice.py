@@ -1,7 +1,7 @@
 """Find the targets of a grid in a photograph: from one target to its neighbours, then their rows and columns.
 
-A target, found as `find_target` finds one, predicts where its neighbours are; registration refines each of them, and they
-predict theirs. No model of the whole picture is needed, so that perspective and distortion do no harm. Targets that the
+A target found by `find_target` predicts the places of its neighbours; registration refines each neighbour, which predicts
+further neighbours. No model of the whole picture is needed, so that perspective and distortion do no harm. Targets that the
 frame cuts, or that the picture does not show, are left out.
 """
 

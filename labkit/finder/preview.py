@@ -14,7 +14,7 @@ from labkit.types import Floats
 
 JPEG_PREVIEW_PX = 900
 RED, CYAN, BLACK = (40, 40, 230), (255, 220, 40), (0, 0, 0)
-"""Blue, green, red: of a clipped pixel, of the outline, and of what sets that off from white."""
+"""Blue, green, red of clipped pixels, of the outline, and of the outline's dark border on white."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -41,7 +41,7 @@ OWN_CORNERS = np.array([[-0.5, -0.5], [-0.5, 0.5], [0.5, 0.5], [0.5, -0.5]])
 """A target's corners from its centre, in its own size."""
 
 LIGHT_BLUR = 0.8
-"""Blur of the picture itself before it is compared: it takes noise and aliasing down."""
+"""Blur of the picture before comparison, which reduces noise and aliasing."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,10 +14,10 @@ from labkit.types import Floats
 Singles = NDArray[np.float32]
 
 COARSE_SIDE = 64
-"""Pixels across the target at which it is searched for."""
+"""Width of the target in the binned picture of the search, pixels."""
 
 BLUR_PX = 1.2
-"""Blur of both there: it widens the peak, so that the steps of scale and angle may be coarse."""
+"""Blur of picture and template, which widens the peak, so that steps of scale and angle can be coarse."""
 
 LEAST_DEVIATION = 0.01
 """Standard deviation, of a picture from 0 to 1, where a target may be: JPEG makes dark parts perfectly even."""

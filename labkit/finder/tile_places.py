@@ -34,7 +34,7 @@ LEAST_ODDS = 1000.0
 """Of the likeliest way to read all marks, against all others."""
 
 LEAST_MARK_AGREEMENT = 0.25
-"""Correlation that three quarters of the marks reach where they are the grid's: half of those of another grid have none."""
+"""Least correlation of three quarters of the marks of the plan's grid; of another grid's marks half are uncorrelated."""
 
 QUARTER_TURNS = ("", "by 90° to the left", "by 180°", "by 90° to the right")
 

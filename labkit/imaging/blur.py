@@ -337,7 +337,7 @@ class Blur:
 
 
 def _times(transfer: AnyArray, *factors: AnyFloats | AnyComplexes) -> AnyArray:
-    """Multiply a half plane in place by others, or by such of one line, and return it.
+    """Multiply a half plane in place by other half planes or single lines, and return the product.
 
     A half plane of a large target takes 70 MB.
     """

@@ -67,7 +67,7 @@ def wrapped_light(
     """Return the light of a perfect lens that comes around a torus to the frame (rows, columns).
 
     The unit is the target's radiance. This light is smooth and hardly depends on pose and
-    wavefront: it is the difference between two rough images, one on the torus, one on a
+    wavefront. It is computed as the difference between two rough images, one on the torus, one on a
     torus twice as large.
     """
     rough = replace(torus, oversampling=1, band_limit_per_um=HALO_BAND / torus.pitch_um)

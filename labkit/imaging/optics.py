@@ -195,7 +195,7 @@ class Optics:
 
     @property
     def shared(self) -> tuple[Part, ...]:
-        """Estimated parts that all channels of a camera share."""
+        """Estimated parts common to all channels of a camera."""
         return tuple(part for part in self.parts if not part.per_channel)
 
     def sharing(self, other: Optics) -> Optics:

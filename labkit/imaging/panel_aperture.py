@@ -12,7 +12,7 @@ from labkit.plan import Channel, Plan
 from labkit.uncertain import Uncertain
 
 LEAST_APERTURE_SHARE = 0.02
-"""An aperture that a step would make smaller than this is drawn as this: it has to be above 0."""
+"""Least drawn aperture: apertures are above 0, but a step of a fit can ask for less."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,7 +31,7 @@ FILTER_PX = 11
 """Side of the mean, in pixels of one colour, whose subtraction removes uneven light from spatial variances."""
 
 SAME_EXPOSURE = 0.01
-"""Exposure times that differ by less, relatively, are one time: cameras round them."""
+"""Relative difference below which exposure times are equal: cameras round their times."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +86,7 @@ class _Group:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pixels:
-    """(rows, cols) pixels of a channel in even light: every one, and those that are not hot."""
+    """(rows, cols) masks of a channel's evenly lit pixels: all of them, and without hot pixels."""
 
     name: str
     every: Bools

@@ -152,7 +152,7 @@ class FieldModel:
         return self.f_number * blur_um
 
     def index(self, channel: str, field: int, pupil: int) -> int:
-        """Return the place of a coefficient in `waves.ravel()`. Raises ValueError for one that is not there."""
+        """Return the place of a coefficient in `waves.ravel()`. Raises ValueError for a missing coefficient."""
         at = (
             self.channels.index(channel),
             self.field.index(field),

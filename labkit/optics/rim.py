@@ -310,7 +310,7 @@ ROUND = Rim()
 """A clear disc."""
 
 ROUND_RIM = Rim((Circle(),))
-"""A clear disc too, as one of the outlines that a pupil may have."""
+"""The clear disc, with a circle as its stated outline."""
 
 
 def _chain(ends: Floats, radius: Callable[[Floats], Floats]) -> Floats:

@@ -27,7 +27,7 @@ Principles of Optics, 7th ed., §9.3."""
 
 
 SPLITS_WAVES = 0.1
-"""RMS in a channel's own light: with less, the image of a point has one peak that leads from defocus to defocus."""
+"""RMS in the channel's own wavelength below which the image of a point has a single peak at every defocus."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -135,7 +135,8 @@ class FittedWavefront:
 
         These wavefronts are without errors: only values are compared.
 
-        A number may change more in the narrower light: where rings that broad light washes out meet its wider rim.
+        A number can change more in the narrower light, where diffraction rings that broad light washes out meet the blur's
+        wider rim.
         """
         if not self.widest_nm > 0:
             return ()

@@ -53,7 +53,7 @@ def paper_panel(target: Target) -> PanelInfo:
 
 
 SAME_PANEL_PITCH = 0.005
-"""Relative: pitches that differ by more are those of two panels."""
+"""Largest relative difference of two pitches of the same panel."""
 
 
 def panel_pitch_mm(plan: Plan) -> float | None:

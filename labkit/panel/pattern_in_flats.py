@@ -19,7 +19,7 @@ SLOWEST = 0.04
 """Cycles a pixel of a plane: slower waves are the illumination's, which is smoothed over 16 pixels."""
 
 SAME_FREQUENCY = 0.03
-"""Cycles a pixel: waves nearer to one another than this are one."""
+"""Least difference of two waves' frequencies, cycles a pixel."""
 
 SLOW_FREQUENCY, LEAST_SLOW = 0.15, 5e-3
 """Cycles a pixel, and amplitude: waves as slow and weaker may be an uneven panel, which is illumination."""
@@ -31,8 +31,8 @@ BEYOND_CHANCE = 12.0
 """By so much more than the logarithm of their number a power must exceed the mean: chance does so once in 160 000 planes."""
 
 AMPLITUDE_SMOOTHING_PX, KNOT_PX = 10.0, 4.0
-"""Standard deviation of the mean that a wave's amplitude is found by: 1/50 000 of a wave 0.075 cycles a pixel away is in it.
-And how far apart the places are that it is found at, linear between them."""
+"""Standard deviation of the Gaussian window of a wave's amplitude, which passes 1/50 000 of a wave 0.075 cycles a pixel away;
+and the distance of the places with an amplitude, interpolated linearly between."""
 
 MOST_PATTERN_WAVES, WAVE_ROUNDS = 40, 3
 """Of a pattern; and how often each is found anew beside the others, whenever more have shown."""

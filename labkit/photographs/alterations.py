@@ -29,13 +29,14 @@ SMOOTH_RATIO = 3.0
 """A part is smooth whose slow band has no more than this times its middle one's power: structure has far more."""
 
 EMPTY, ENLARGED = 0.06, 0.1
-"""Noise above over noise in the middle: 1 of a sensor, 0.3 of demosaiced green, 0.08 of JPEGs of low quality, 0.05 of what was
-enlarged 1.25 times, 0.01 of 1.5 times. It must be below the second one where its strength is periodic, else below the first."""
+"""Noise in the upper band over noise in the middle band: 1 for a sensor, 0.3 for demosaiced green, 0.08 for JPEGs of low
+quality, 0.05 and 0.01 for pictures enlarged 1.25 and 1.5 times. A picture is altered below the first limit, or below the
+second if the noise's strength is periodic."""
 
 AMPLIFIED = 1.25
 PERIODIC = 100.0
-"""Power over the median of all periods: of 4,000 random ones the largest is 12, of JPEGs it is 46, of what was enlarged 120 and
-far more."""
+"""Power of a period over the median of all periods: at most 12 in 4,000 random pictures, 46 in JPEGs, 120 and far more in
+enlarged pictures."""
 
 FLAT_PX, HALO_PX = (8, 14), 7
 """From an edge: where it must be flat on both sides, and how far a halo reaches."""

@@ -12,8 +12,8 @@ from labkit.photographs.photograph import Cut, Photograph
 from labkit.types import Counts, Floats, Floats32, FrameKind
 
 SATURATED_SHARE = 0.2
-"""Of a colour's bright pixels (above half scale), this many saturated mean that its white is cut off. Whites that stay
-below saturation leave none but the odd reflection; a clipped white leaves nearly all."""
+"""Share of a colour's bright pixels (above half scale) that are saturated if its white is clipped. An unclipped white
+saturates isolated reflections only, a clipped white nearly all bright pixels."""
 
 SATURATED_LEAST = 5e-3
 """Of all of a colour's pixels: fewer saturated than this are a reflection, for a target fills more of the frame."""

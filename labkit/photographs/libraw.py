@@ -1,4 +1,4 @@
-"""LibRaw, given a file that Python has opened: LibRaw cannot open a path that is no UTF-8."""
+"""LibRaw with files opened by Python: LibRaw cannot open paths outside UTF-8."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from labkit.photographs.photograph import Photograph
 from labkit.plan.sensor import MONO
 
 DAMAGE = ("data corrupted", "Unexpected end of file")
-"""What LibRaw prints about a damaged file that it decodes all the same."""
+"""LibRaw's messages about damaged files that are decoded nevertheless."""
 
 
 @contextmanager

@@ -1,7 +1,7 @@
 """A decoded photograph: counts, black and white levels, and the places of its colours. Nothing is demosaiced.
 
-A picture that another program demosaiced has all colours at every pixel. Side by side, as in its file, they are a mosaic
-too, whose cell of one row and three columns stands for one pixel.
+A picture demosaiced by another program has all colours at every pixel. Side by side, as in the file, the colours are a
+mosaic with a cell of one row and three columns for each pixel.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class Photograph:
 
     @property
     def rounding_variance(self) -> Floats:
-        """(rows, cols) counts² that the steps of a tone curve add to the noise; of a photograph of one colour."""
+        """(rows, cols) variance of rounding through the tone curve, counts²; for photographs of one colour."""
         if self.tone is None:
             return np.zeros(self.counts.shape)
         return self.tone.rounding_variance(self.counts)
@@ -100,7 +100,7 @@ class Photograph:
         return tuple(self._plane(*place) for place in places)
 
     def planes(self, name: str) -> tuple[Cut, ...]:
-        """Return slices of counts, one for each plane of a colour; RawError for a colour that the filter array lacks."""
+        """Return slices of counts for each plane of a colour. Raises RawError for a colour outside the filter array."""
         return tuple(self._plane(*place) for place in places_of(self.pattern, name))
 
     def _plane(self, row: int, col: int) -> Cut:
@@ -109,7 +109,7 @@ class Photograph:
         return slice(row, None, high), slice(col, None, wide)
 
     def channel_mask(self, name: str) -> Bools:
-        """Return an array of the shape of `counts`, True for pixels of a colour; RawError for a colour that it lacks."""
+        """Return the mask of a colour's pixels, of the shape of `counts`. Raises RawError for an unknown colour."""
         mask = np.zeros(self.counts.shape, dtype=np.bool_)
         for plane in self.planes(name):
             mask[plane] = True
@@ -139,7 +139,7 @@ class Photograph:
         return rows, slice(wide * (cols.start or 0) + col, stop, wide)
 
     def part(self, name: str, cut: Cut = WHOLE) -> Photograph:
-        """Return a cut of pixels, from an even row and column on; of a picture in colours only that colour, as mono.
+        """Return a cut of pixels from an even row and column on; for a picture in colours the requested colour only, as mono.
 
         Raises RawError for a colour that the filter array lacks.
         """

@@ -359,7 +359,7 @@ def _read_tiff(path: Path, most_pixels: int, processed: bool) -> Picture:
 def _check_tiff(
     tiff: tifffile.TiffFile, page: tifffile.TiffPage, most_pixels: int, processed: bool
 ) -> None:
-    """Raise InputError for what a TIFF declares, as far as it is not allowed."""
+    """Raise InputError for a TIFF that declares unsupported properties."""
     if len(page.shape) < 2:
         raise InputError(DAMAGED)
     _check_size(page.shape, most_pixels)

@@ -1,7 +1,7 @@
-"""Pictures that are no mosaic: JPEG, and TIFF and PNG in colours. Their tone curve is undone; what else was done stays.
+"""Pictures that are no mosaic: JPEG, and TIFF and PNG in colours. Their tone curve is inverted; other processing remains.
 
-Each colour is a plane of its own at full resolution. Demosaicing, sharpening and noise reduction cannot be undone: they are
-part of the point spread that is measured then, and the results say so.
+Each colour is a plane of its own at full resolution. Demosaicing, sharpening and noise reduction cannot be inverted: the
+measured point spread includes their effect, and the results state this.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Tone curves of pictures that a program has processed, and what undoing them does to the rounding of their numbers."""
+"""Tone curves of processed pictures, and the rounding errors after inversion."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from labkit.photographs.encoding import Curve, Encoding, profile_curves, profile
 from labkit.types import Counts, Floats
 
 FULL_COUNTS = 65535.0
-"""Counts of the brightest number: fine enough that rounding to whole counts adds nothing to what 8 bit have lost."""
+"""Counts of the brightest number: rounding to whole counts is negligible against rounding to 8 bits."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ToneCurve:
-    """How a picture's numbers stand to light. name: by what it is undone; levels: (planes, codes) counts of each number,
-    0 to 65535, never falling; a plane for each colour, or one for all of them."""
+    """Relation of a picture's stored numbers to light. name: source of the curve; levels: (planes, codes) counts of each
+    number, 0 to 65535, never falling; a plane for each colour, or a single plane."""
 
     name: str
     levels: Floats
@@ -48,7 +48,7 @@ class ToneCurve:
     def rounding_variance(self, counts: Counts | Floats) -> Floats:
         """Return the variance of rounding to stored numbers, counts² of the shape of the counts, by the curve's slope.
 
-        A number stands for all light from halfway to the one below to halfway to the one above. Of a curve of one colour.
+        A number represents all light between the midpoints to its two neighbours. For curves of one colour only.
         """
         levels = self.levels[0]
         steps = np.gradient(levels)

@@ -20,7 +20,7 @@ WITHIN_CHANNEL = 0.05
 """Of a channel's wavelength: as far the mean of its spectrum may lie from it."""
 
 WIDEST_LIGHT = 0.08
-"""Of a channel's wavelength: the largest width that stands for a spectrum; a wider one has to be given in samples."""
+"""Largest width of a spectrum, as a share of the wavelength, without samples in the plan."""
 
 SPECTRUM = "[[nm, weight], ...] with weights from 0, some above"
 ALLOWED_WAVELENGTH_NM = Allowed(100, 20_000)

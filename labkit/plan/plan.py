@@ -30,7 +30,7 @@ from labkit.spectra import ChannelLight
 DEFAULT_REFERENCE_NM = 450.0
 
 CAMERA_COLOURS = ("R", "G", "B")
-"""What LibRaw names the colours of a camera's filter array."""
+"""LibRaw's names of a camera's filter colours."""
 
 LEADING = "G"
 """Green: a filter array has most pixels of it, and photometry's weight is greatest."""

@@ -50,7 +50,7 @@ NEEDED_BY_KIND = {
     },
     "disks": ("grid", "diameter_mm"),
 }
-"""Kind of target -> the fields that it cannot do without."""
+"""Required fields by kind of target."""
 
 ENGRAVED_FOCAL_LENGTH, ENGRAVED_F_NUMBER, PRINTED_SIZE = 0.02, 0.03, 1e-4
 """Relative standard errors of engravings and of a target's size that a plan does not state."""
@@ -347,7 +347,7 @@ class CameraSettings(Table):
 
     @property
     def captures(self) -> bool:
-        """Return whether a capture can use it: not where it names the body alone."""
+        """Return whether a capture can use the camera: a table with only the body's name is not enough."""
         return bool(self.address)
 
     @model_validator(mode="after")

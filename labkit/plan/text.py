@@ -19,7 +19,7 @@ from labkit.files import refuse_special
 from labkit.plan.fields import what_it_takes
 
 DEEPEST_TABLE = 6
-"""Tables and lists in one another: corners stand three deep, and what is deeper is no plan."""
+"""Deepest nesting of tables and lists: corners are nested three deep."""
 
 TOO_DEEP = "not TOML that can be read: lists or tables too deep in one another"
 
@@ -154,10 +154,10 @@ def _value(value: Any) -> str:
 def message(
     error: ValidationError, model: type[BaseModel], tables: Mapping[str, Any]
 ) -> str:
-    """Describe all faults of `tables` that are no `model` in one line, unknown keys first.
+    """Describe in one line all faults of `tables` as a `model`, unknown keys first.
 
-    A misspelt key is often missing as well: its name is more helpful. A list is called too
-    short when its values are wrong.
+    A misspelt key is often missing as well: the wrong name is more helpful. Pydantic calls
+    a list too short if its values are wrong.
     """
     details = sorted(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
     within = {

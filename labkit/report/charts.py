@@ -136,7 +136,7 @@ def residual_quantiles(residuals: Residuals) -> tuple[Floats, Floats, Floats, Fl
 
 
 def normal_quantiles(values: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """The same of any values in standard errors; those that are not finite are left out."""
+    """Draw values in standard errors; values that are not finite are left out."""
     values = np.sort(values[np.isfinite(values)])
     tail = np.unique(np.geomspace(1, max((values.size + 1) // 2, 1), 50).astype(int))
     rank = np.unique(np.concatenate([tail, values.size + 1 - tail]))

@@ -25,7 +25,7 @@ BROWSERS = (
     "/Applications/Microsoft Edge.app/Contents/MacOS/Microsoft Edge",
 )
 LEAST_VERSION = 131
-"""The first that prints what a style sheet puts into a page's margins: running head and page number."""
+"""Oldest version that prints a style sheet's running head and page number in the page's margins."""
 
 VERSION_S, PRINT_S = 30.0, 180.0
 """After these a browser is ended. A report of a hundred fits prints in 10 s on one core."""

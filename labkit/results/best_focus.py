@@ -19,7 +19,7 @@ from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
 SHARE = 0.8
-"""Share of the energy, whose radius is reported: most lens tests state this one."""
+"""Share of the energy, whose radius is reported: most lens tests state this value."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -152,7 +152,7 @@ class PositiveEntry(NumberEntry):
 
 
 def uncertain(unit: str = "", entry: type[NumberEntry] = NumberEntry) -> Kept:
-    """Return how a number with its standard error is kept. unit: that of the number, which is not."""
+    """Return how a number with its standard error is kept. unit: unit of the number, which the file does not hold."""
 
     def read(kept: NumberEntry) -> Uncertain:
         return Uncertain(number(kept.value), number(kept.std), unit)

@@ -33,7 +33,10 @@ CORRELATION_ROUNDING = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class OtherOptimum:
-    """Another optimum that the search met. waves: (modes,) RMS; log_likelihood_below: how much less likely it is."""
+    """Another optimum of the search.
+
+    waves: (modes,) RMS; log_likelihood_below: difference of its log-likelihood to the best optimum's, 0 or more.
+    """
 
     waves: Floats
     log_likelihood_below: float
@@ -41,11 +44,18 @@ class OtherOptimum:
 
 @dataclass(frozen=True, slots=True)
 class OptimumTest:
-    """The test of whether a fit ended at the global optimum. undetermined: what the frames leave open, in words.
+    """The test of whether a fit ended at the global optimum.
 
-    name: of what decided, "residuals", "session", "starts" of which many came back, or "parts" of the camera that the model
-    lacks and a fit with them explains. p_value: chance of residuals as large; explains: whether they are noise alone, so that
-    the model explains the data, which is another question than that of the optimum.
+    Attributes
+    ----------
+    name : the decisive evidence: "residuals", "session", "starts" (many starts reached this optimum), or "parts" (a fit with
+        parts of the camera that the model lacks explains the residuals)
+    accepted : whether the optimum is global
+    p_value : chance of residuals as large as these
+    starts : number of starts
+    undetermined : combinations of modes that the frames do not determine, in words
+    others : other optima, the likeliest first
+    explains : whether the residuals are noise alone, so that the model explains the data; independent of `accepted`
     """
 
     name: str
@@ -78,8 +88,11 @@ class ResidualSpectrum:
 
 @dataclass(frozen=True, slots=True)
 class PartTried:
-    """A part of the camera that the photographs were asked about. gain: log-likelihood that it would gain over the model of
-    the time, by its slope; adopted: whether it was taken into the model."""
+    """A tested part of the camera.
+
+    gain: predicted gain in log-likelihood over the model without the part, by the score test; adopted: whether the part
+    joined the model.
+    """
 
     name: str
     gain: float

@@ -1,4 +1,4 @@
-"""All that was estimated from a session: by range and channel, as a file, as tables."""
+"""All estimates from a session: by range and channel, as a file, as tables."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Results:
-    """All that was estimated from a session.
+    """All estimates from a session.
 
     plan: what it was estimated with, plan_sha256 its checksum. lens: None where ranges or defocus are missing. budget: of every
     number that leads the results, its standard error by source, in the number's unit. joint: by how many standard errors each
@@ -46,9 +46,9 @@ class Results:
     ``low_pass_filter.spread_px``; parts_tried: which parts the photographs were asked about. widest_light_nm: the largest
     standard deviation that they allow each channel's light, with 95 % confidence, where the plan states no spectrum or names a
     kind of light.
-    findings: what to know of the numbers; `warnings` are the texts of those that warn.
+    findings: remarks on the numbers; `warnings` are the texts of those that warn.
     common: numbers of the lens with their joint covariance, for comparison with another session; None without a lens.
-    unanswered: what these frames cannot determine though it was to be estimated; findings say it too. made_from: inputs,
+    unanswered: requested quantities that the frames cannot determine; findings say it too. made_from: inputs,
     settings and failed fits; None where an earlier labkit made the results. folder: where it is kept. field: the wavefront over
     the frame, where there are tiles; else None. geometry: distortion and lateral colour by the places of a grid's tiles, or
     None.
@@ -180,7 +180,7 @@ class Results:
 
     @property
     def thin_lens(self) -> ThinLens:
-        """The lens as it was estimated; without an estimate as the plan states it, its pupils from best focus."""
+        """The estimated lens; without an estimate as the plan states it, its pupils from best focus."""
         if self.lens is not None:
             return self.lens.thin
         stated = self.plan.lens
@@ -228,7 +228,7 @@ class Results:
         return verdicts.headline(self.wavefronts, self.findings)
 
     def lens_rows(self) -> tables.Rows:
-        """A heading, and a row of text for each channel: what the optics do at best focus."""
+        """A heading, and a row of text for each channel: performance of the optics at best focus."""
         return tables.lens_rows(self.at_best_focus())
 
     def colour_rows(self) -> tables.Rows:

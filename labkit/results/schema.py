@@ -77,7 +77,7 @@ READABLE = (1, 2, 3)
 FIRST_WITH_FINDINGS = 3
 
 MOST_OTHERS = 5
-"""Number of other optima that are kept, the likeliest."""
+"""Number of other optima in results, the likeliest first."""
 
 QUANTITY_UNITS = {"px": "px", "px2": "px²", "nm": "nm", "deg": "deg"}
 """Units of the camera's numbers, by the end of their names."""

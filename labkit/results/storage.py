@@ -1,4 +1,4 @@
-"""results.json, psf.npz and residuals.npz: nothing else in labkit knows what stands in them."""
+"""results.json, psf.npz and residuals.npz: no other module knows their format."""
 
 from __future__ import annotations
 

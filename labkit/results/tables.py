@@ -233,7 +233,7 @@ NOT_FITTED = "not fitted"
 
 
 def lens_rows(channels: Sequence[ChannelSummary]) -> Rows:
-    """A heading, and a row for each channel: what the optics do at best focus."""
+    """A heading, and a row for each channel: performance of the optics at best focus."""
     rows = [
         [
             "channel",

@@ -11,7 +11,7 @@ from labkit.results.model import OptimumTest, Wavefront
 from labkit.uncertain import Uncertain, decimals
 
 MOST_NAMES = 6
-"""Number of wavefronts that a sentence names; of more it gives the number."""
+"""Largest number of wavefronts named in a sentence; for more the sentence gives the number."""
 
 UNTESTED = "untested"
 EXPLAINS = "explains the photographs"
@@ -21,7 +21,7 @@ CONTRADICTIONS = (
     "cones-contradict-one-lens",
     "pupil-magnification-at-bound",
 )
-"""Codes of findings that doubt what the plan states."""
+"""Codes of findings that contradict the plan."""
 
 
 def optimum_word(test: OptimumTest | None) -> str:

@@ -17,7 +17,7 @@ from labkit.plan import Sensor
 
 ANY = Sensor(pixel_pitch_um=1.0)
 PITCHES_UM = (0.5, 50.0)
-"""Of any camera; what lies outside of it is a camera's mistake."""
+"""Plausible values of any camera; EXIF outside these limits is wrong."""
 
 USUAL_NM = {"R": 605.0, "G": 535.0, "B": 465.0}
 """Where colour filters of cameras let through most, about, in daylight."""

@@ -169,7 +169,7 @@ NEEDED_IN_EVENT: Mapping[str, tuple[str, ...]] = {
     "discarded": ("file",),
     "dropped": (),
 }
-"""What each event that belongs to the session itself must hold; other events are the capture's."""
+"""Required keys of the session's own events; other events are the capture's."""
 
 READ_AGAIN = (*NEEDED_IN_EVENT, "began")
 """Events whose values are used."""

@@ -49,7 +49,7 @@ class Row:
 
 
 QUOTED = re.compile(r"""'[^']*'|"[^"]*"|; write .*|of \d+ characters""")
-"""What a message repeats of a cell: messages that differ in it alone are of one kind."""
+"""Quoted cell in a message: messages that differ only in this quotation are of one kind."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,10 +16,10 @@ FOCAL_LENGTH_TOLERANCE = 0.03
 """Relative: engravings and EXIF are both rounded."""
 
 STOPS_TOLERANCE = 1 / 3
-"""Of the f-number: cameras round it to thirds of a stop."""
+"""Tolerance of the f-number: cameras round to thirds of a stop."""
 
 SAME_SETTING = 0.01
-"""Relative: settings of two photographs that are nearer are one."""
+"""Relative difference up to which settings of two photographs are equal."""
 
 Stated = tuple[str, Exif]
 """A photograph's name, and what its file states."""

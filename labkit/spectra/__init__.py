@@ -120,8 +120,8 @@ LIGHT_KINDS: dict[str, tuple[str, ...]] = {
     "halogen": ("CIE A", "ISO 7589 studio tungsten"),
     "daylight": ("CIE D50", "CIE D65", "CIE D75"),
 }
-"""Kinds of light, and the spectra that stand for each. Filters of a panel cut light between its colours: its spectrum is
-between those of a white and of a three-colour LED, and no measured one was found that may be passed on."""
+"""Kinds of light, and the spectra that stand for each. Filters of a panel absorb light between its colours: a panel's
+spectrum is between a white and a three-colour LED's. No measured spectrum of a panel with a free licence was found."""
 
 TABLE_STD_NM = 1.0
 """Standard error of means and widths by the tables themselves, whose wavelengths are 5 and 10 nm apart."""

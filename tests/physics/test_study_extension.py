@@ -9,7 +9,15 @@ import pytest
 from skimage.metrics import peak_signal_noise_ratio
 
 from labkit.errors import InputError
-from labkit.experiments.extension import EXTERIOR, OURS, SIDE, Task, masks, picture, work
+from labkit.experiments.extension import (
+    EXTERIOR,
+    MINIMUM_BANDWIDTH,
+    SIDE,
+    Task,
+    masks,
+    picture,
+    work,
+)
 from tests.studies import quick
 
 
@@ -29,7 +37,9 @@ def test_an_unknown_exterior_is_unknown() -> None:
     assert not answer.known[:EXTERIOR].any()
     assert not answer.known[:, -EXTERIOR:].any()
     # outside the interior only a smooth guess can stand
-    assert answer.psnr_db(OURS, whole=True) < answer.psnr_db(OURS, whole=False)
+    assert answer.psnr_db(MINIMUM_BANDWIDTH, whole=True) < answer.psnr_db(
+        MINIMUM_BANDWIDTH, whole=False
+    )
 
 
 def test_masks_leave_out_what_their_names_say() -> None:
@@ -47,10 +57,14 @@ def test_the_study_writes_both_figures_of_the_appendix(
     rows = list(csv.DictReader((tmp_path / "extension.csv").read_text().splitlines()))
     assert {row["figure"] for row in rows} == {"A.2", "A.3"}
     by_hand = [
-        float(r["psnr_db"]) for r in rows if r["figure"] == "A.3" and r["method"] == OURS
+        float(r["psnr_db"])
+        for r in rows
+        if r["figure"] == "A.3" and r["method"] == MINIMUM_BANDWIDTH
     ]
     claim = next(
-        c for c in summary["claims"] if c["what"] == f"PSNR of {OURS}, exterior known"
+        c
+        for c in summary["claims"]
+        if c["what"] == f"PSNR of {MINIMUM_BANDWIDTH}, exterior known"
     )
     assert claim["measured"] == pytest.approx(np.mean(by_hand))
 

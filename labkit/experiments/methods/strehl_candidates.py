@@ -16,7 +16,7 @@ from labkit.arrays import positive, real_array
 from labkit.optics.zernike import noll_to_nm, twin_signs, zernike
 from labkit.types import Floats
 
-NOLL = tuple(range(4, 16))
+CANDIDATE_NOLL = tuple(range(4, 16))
 QUADRATURE_RADII, QUADRATURE_ANGLES = (
     16,
     48,
@@ -32,21 +32,21 @@ def _quadrature() -> tuple[Floats, Floats]:
     angles = 2 * np.pi * np.arange(QUADRATURE_ANGLES) / QUADRATURE_ANGLES
     rho, theta = np.meshgrid(np.sqrt((nodes + 1) / 2), angles, indexing="ij")
     share = np.repeat(weights / 2 / QUADRATURE_ANGLES, QUADRATURE_ANGLES)
-    return share, np.stack([zernike(j, rho, theta).ravel() for j in NOLL])
+    return share, np.stack([zernike(j, rho, theta).ravel() for j in CANDIDATE_NOLL])
 
 
 def _over_noll(name: str, waves: Floats) -> Floats:
-    return real_array(name, waves, (len(NOLL),), "waves RMS of Noll 4 to 15")
+    return real_array(name, waves, (len(CANDIDATE_NOLL),), "waves RMS of Noll 4 to 15")
 
 
 def rotated(waves: Floats, angle_rad: float) -> Floats:
     """Rotate a wavefront (12,), waves RMS over Noll 4 to 15, about the axis."""
     waves = _over_noll("waves", waves)
     result = waves.copy()
-    for k, j in enumerate(NOLL):
+    for k, j in enumerate(CANDIDATE_NOLL):
         n, m = noll_to_nm(j)
         if m > 0:
-            sine = next(i for i, q in enumerate(NOLL) if noll_to_nm(q) == (n, -m))
+            sine = next(i for i, q in enumerate(CANDIDATE_NOLL) if noll_to_nm(q) == (n, -m))
             c = np.cos(m * angle_rad)
             s = np.sin(m * angle_rad)
             result[k] = waves[k] * c - waves[sine] * s
@@ -106,7 +106,7 @@ def highest_on_shell(start: Floats, rms: float) -> Floats:
 
 def _associates(waves: Floats) -> Floats:
     """Return (4, ..., 12) wavefronts (..., 12), their negatives, twins and twins' negatives."""
-    twin = waves * twin_signs(NOLL)
+    twin = waves * twin_signs(CANDIDATE_NOLL)
     return np.stack([waves, -waves, twin, -twin])
 
 
@@ -164,7 +164,7 @@ def strehl_candidates(waves: Floats, rms: float = 0.2) -> Floats:
     angles = 2 * np.pi * np.arange(ROTATIONS) / ROTATIONS
     turned = [
         rotated(p, angle)
-        for p in _associates(nearest).reshape(-1, len(NOLL))
+        for p in _associates(nearest).reshape(-1, len(CANDIDATE_NOLL))
         for angle in angles
     ]
     return np.asarray(waves + np.unique(np.round(turned, 9), axis=0))

@@ -34,7 +34,7 @@ ROTATING: dict[int, tuple[int | None, ...]] = {
 
 AT_REST = np.array([0.0, 0.0, 1.0, 1.0, 0.0])
 
-LINEAR = ((0, 2), (1, 2), (0, 0), (1, 0), (0, 1), (1, 1), (2, 0), (2, 1))
+TRANSFORMATION_ORDER = ((0, 2), (1, 2), (0, 0), (1, 0), (0, 1), (1, 1), (2, 0), (2, 1))
 """(row, column) in the matrix of each parameter of the groups that are linear in x."""
 
 SINGULAR_MATRIX = 1e-12  # determinant over the cube of the largest entry; an inverse keeps four digits there
@@ -152,7 +152,7 @@ class WarpGroup:
             return self._rotating(x)
         matrix = np.diag([0.0, 0, 1])
         first = np.zeros((self.dof, 3, 3))
-        for i, place in enumerate(LINEAR[: self.dof]):
+        for i, place in enumerate(TRANSFORMATION_ORDER[: self.dof]):
             matrix[place] = x[i]
             first[(i, *place)] = 1.0
         return matrix, first, np.zeros((self.dof, self.dof, 3, 3))

@@ -251,10 +251,10 @@ class Smear(Part):
 
 
 SCALE_PX = 15.0
-"""Of the veil where nothing is known of it."""
+"""Width of the veil without prior knowledge."""
 
 NARROWEST_PX, BROADEST_PX = 3.0, 100.0
-"""Between these it is sought: the lens takes what is narrower, ambient light what is much broader than a picture."""
+"""Limits of the estimated width: a narrower veil acts as aberrations, a veil much broader than the picture as ambient light."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -72,7 +72,7 @@ class Part(Estimated):
 
     @property
     def at_bound(self) -> bool:
-        """Return whether an estimate ended at the limit of what the part can be, beyond which it would be no such thing."""
+        """Return whether an estimate ended at the limit of the part's physical values."""
         return False
 
     def transfer(self, rows: AnyFloats, columns: AnyFloats) -> AnyFloats:
@@ -99,7 +99,7 @@ class Part(Estimated):
 
     @property
     def broadest(self) -> Spectrum | None:
-        """The broadest spectrum that an estimate may reach; None for a part that is not of the light."""
+        """Broadest spectrum within an estimate's bounds; None for parts other than the spectrum."""
         return None
 
     def about(self, typical: Spectrum) -> Self:
