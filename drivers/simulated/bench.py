@@ -13,7 +13,6 @@ import hashlib
 import zlib
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -354,8 +353,3 @@ class Bench:
             x_mm, y_mm = view.on_panel(np.arange(float(cols))[None, :], down)
             seen[top : top + STRIP_ROWS] = level * self._unevenness(x_mm, y_mm)
         return seen
-
-
-def demo_bench(seed: int = 1) -> Bench:
-    """Return the bench of the demo: 70 mm, f/2.8, a carpet of 46.8 mm at 3.0 to 3.3 m."""
-    return Bench(replace(BenchSettings(), seed=seed))

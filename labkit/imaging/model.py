@@ -17,7 +17,6 @@ from labkit.imaging.optics import Optics
 from labkit.imaging.scene import Drawing, Scene
 from labkit.imaging.warp import POSE_SIZE, Pose
 from labkit.imaging.window import WINDOW_AIRY
-from labkit.optics.psf import Pupil
 from labkit.panel.drawn_target import PanelTarget
 from labkit.target import Target
 from labkit.types import AnyComplexes, Bools, Complexes64, Floats, Floats32
@@ -130,15 +129,7 @@ class ForwardModel:
         spacing_um = torus.spacing_um / finer
         size = scipy.fft.next_fast_len(math.ceil(window_um / spacing_um), real=True)
         size = min(size, min(torus.fine) * finer)
-        pupil = Pupil(
-            optics.wavelength_um,
-            optics.reference_um,
-            optics.f_number,
-            spacing_um,
-            size,
-            optics.noll,
-            optics.rim,
-        )
+        pupil = optics.pupil(spacing_um, size)
         halo_um = optics.airy_um * optics.rim.halo
         wrapped = wrapped_light(torus, target, reference, halo_um, optics.active_um)
         limit = min(band * cutoff, ROUGH_BAND / optics.pitch_um)

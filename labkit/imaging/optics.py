@@ -15,6 +15,7 @@ from labkit.imaging.panel_aperture import Aperture
 from labkit.imaging.parts import KNOWN, Part, SpectrumWidth, rim_of
 from labkit.imaging.window import window_for
 from labkit.mode_groups import MODE_GROUPS
+from labkit.optics.psf import Pupil
 from labkit.optics.rim import Rim
 from labkit.optics.spectrum import Spectrum
 from labkit.types import Floats
@@ -64,6 +65,18 @@ class Optics:
         for name in ("wavelength_nm", "reference_nm", "pitch_um", "active_um"):
             positive(name, getattr(self, name), name[-2:])
         positive("f_number", self.f_number, "unitless")
+
+    def pupil(self, spacing_um: float, size: int) -> Pupil:
+        """Return the pupil whose PSF has (size, size) samples of a spacing, um."""
+        return Pupil(
+            self.wavelength_um,
+            self.reference_um,
+            self.f_number,
+            spacing_um,
+            size,
+            self.noll,
+            self.rim,
+        )
 
     @property
     def wavelength_um(self) -> float:

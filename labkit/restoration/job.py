@@ -12,7 +12,6 @@ import scipy.fft
 from labkit.imaging.blur import Blur
 from labkit.imaging.optics import Optics
 from labkit.imaging.window import WINDOW_AIRY
-from labkit.optics.psf import Pupil
 from labkit.restoration.grid import SceneGrid
 from labkit.restoration.views import View, Views
 from labkit.types import AnyFloats, Bools, Complexes64, Floats
@@ -226,14 +225,6 @@ def transfer_on(grid: SceneGrid, optics: Optics, waves: Floats) -> Complexes64:
     window_um = min(max(WINDOW_AIRY, optics.window_airy(waves)) * optics.airy_um, side_um)
     size = scipy.fft.next_fast_len(math.ceil(window_um / spacing_um), real=True)
     size = min(size, min(torus.fine) * finer)
-    pupil = Pupil(
-        optics.wavelength_um,
-        optics.reference_um,
-        optics.f_number,
-        spacing_um,
-        size,
-        optics.noll,
-        optics.rim,
-    )
+    pupil = optics.pupil(spacing_um, size)
     blur = Blur(torus, pupil, optics.active_um, optics.light, optics.parts, optics.given)
     return grid.whole(blur.transfer(waves))

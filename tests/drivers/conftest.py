@@ -35,6 +35,17 @@ WAIT_S = 100.0
 """What comes in a moment on an idle machine is awaited for as long as this on a loaded one, then the test fails."""
 
 
+def until(
+    condition: Callable[[], bool], between: Callable[[], object] = lambda: None
+) -> None:
+    """Wait until a condition holds, calling `between` meanwhile."""
+    deadline_s = time.monotonic() + WAIT_S
+    while not condition():
+        assert time.monotonic() < deadline_s, "the condition does not come true"
+        between()
+        time.sleep(0.01)
+
+
 def small_bench(plan: Plan) -> Bench:
     """The simulated bench of a plan, with a halo cut short: a photograph of it takes a moment."""
     return Bench(replace(settings_for(plan, 7), halo_um=100.0))

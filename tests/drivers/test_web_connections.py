@@ -19,7 +19,7 @@ from labkit.drivers.web import access
 from labkit.drivers.web import server as web_server
 from labkit.drivers.web.display import WebDisplay
 
-from .conftest import WAIT_S, Lab
+from .conftest import WAIT_S, Lab, until
 from .web_requests import GOOD, ask, dial, page, shows_still
 
 
@@ -187,11 +187,11 @@ def test_a_page_that_neither_reads_nor_answers_is_let_go(
         head += ["Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==", "", ""]
         wire.sendall("\r\n".join(head).encode())
         monitor = lab.server.monitor
-        while not monitor._listeners:  # the test's own time limit ends it
-            time.sleep(0.01)
-        while monitor._listeners:
-            monitor.noted("camera", model="x" * 10_000, serial="1")
-            time.sleep(0.01)
+        until(lambda: bool(monitor._listeners))
+        until(
+            lambda: not monitor._listeners,
+            lambda: monitor.noted("camera", model="x" * 10_000, serial="1"),
+        )
         assert wire.recv(12) == b"HTTP/1.1 101"  # it was let in, and is gone
         assert shows_still(lab, display)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import time
 from collections.abc import Callable
 
 import numpy as np
@@ -18,7 +17,7 @@ from labkit.panel.picture import panel_picture
 from labkit.plan import TargetSpec
 from labkit.target import open_target
 
-from .conftest import Glass, Lab
+from .conftest import Glass, Lab, until
 
 OpenGlass = Callable[..., Glass]
 
@@ -29,10 +28,9 @@ def noise(height: int, width: int) -> NDArray[np.uint8]:
     return np.random.default_rng(5).integers(0, 256, (height, width), dtype=np.uint8)
 
 
-def until(glass: Glass, good: Callable[[], bool]) -> None:
-    """Let the browser work until it is so; the test's own time limit ends it if it never is."""
-    while not good():
-        glass.page.wait_for_timeout(50)
+def browsing_until(glass: Glass, good: Callable[[], bool]) -> None:
+    """Let the browser work until a condition holds."""
+    until(good, lambda: glass.page.wait_for_timeout(50))
 
 
 def drop_connections(lab: Lab) -> None:
@@ -69,7 +67,7 @@ def test_odd_sizes_at_a_fractional_scale_are_exact_too(lab: Lab, glass: OpenGlas
     size = 601, 803
     probe = lab.display(1, 1, "probe")
     tab = glass(probe.url, *size, 1.25)
-    until(tab, lambda: probe._screen.report is not None)
+    browsing_until(tab, lambda: probe._screen.report is not None)
     assert probe._screen.report is not None
     height, width = probe._screen.report.pixels
     assert abs(height - 751.25) < 1
@@ -106,7 +104,7 @@ def test_a_page_of_the_wrong_size_shows_nothing_and_says_why(
 ) -> None:
     display = lab.display(*panel)
     tab = glass(display.url)
-    until(tab, lambda: re.search(words, display._screen.problem or "") is not None)
+    browsing_until(tab, lambda: re.search(words, display._screen.problem or "") is not None)
     found = problem_of(display)
     assert re.search(words, found)
     assert tab.page.is_visible("#problem")
@@ -121,11 +119,11 @@ def test_a_turned_display_holds_the_capture_and_goes_on_by_itself(
     picture = noise(600, 800)
     display.show(picture)
     tab.resize(800, 600)
-    until(tab, lambda: "turned" in (display._screen.problem or ""))
+    browsing_until(tab, lambda: "turned" in (display._screen.problem or ""))
     assert tab.seen().shape == (800, 600, 3)
     tab.resize(600, 800)
     assert not display.undisturbed()
-    until(
+    browsing_until(
         tab, lambda: np.array_equal(tab.seen()[:, :, 0], picture)
     )  # back on the glass unasked
     display.show(picture)
@@ -139,7 +137,7 @@ def test_a_reload_is_noticed_and_the_picture_comes_back(lab: Lab, glass: OpenGla
     display.show(picture)
     tab.page.reload()
     assert not display.undisturbed()
-    until(tab, lambda: np.array_equal(tab.seen()[:, :, 0], picture))
+    browsing_until(tab, lambda: np.array_equal(tab.seen()[:, :, 0], picture))
     display.show(picture)
     assert display.undisturbed()
 
@@ -153,7 +151,7 @@ def test_a_page_in_the_background_is_no_display(lab: Lab, glass: OpenGlass) -> N
         "document.dispatchEvent(new Event('visibilitychange')); }"
     )
     tab.page.evaluate(hide, "hidden")
-    until(tab, lambda: "hidden" in (display._screen.problem or ""))
+    browsing_until(tab, lambda: "hidden" in (display._screen.problem or ""))
     tab.page.evaluate(hide, "visible")
     assert not display.undisturbed()
     display.show("white")
@@ -168,8 +166,8 @@ def test_a_sleeping_page_is_lost_and_is_back_when_it_wakes(
     display.show("white")
     tab.cdp.send("Debugger.enable")
     tab.cdp.send("Debugger.pause")  # no script runs, as when a tablet sleeps
-    while "no page answers" not in (display._screen.problem or ""):
-        time.sleep(0.05)  # the browser's own waiting would wait for the page
+    # the browser's own waiting would wait for the page
+    until(lambda: "no page answers" in (display._screen.problem or ""))
     tab.cdp.send("Debugger.resume")
     assert not display.undisturbed()
     display.show("black")
@@ -181,7 +179,7 @@ def test_a_zoomed_page_is_noticed(lab: Lab, glass: OpenGlass) -> None:
     tab = glass(display.url)
     display.show("white")
     tab.cdp.send("Emulation.setPageScaleFactor", {"pageScaleFactor": 2})
-    until(tab, lambda: "zoomed ×2" in (display._screen.problem or ""))
+    browsing_until(tab, lambda: "zoomed ×2" in (display._screen.problem or ""))
     tab.cdp.send("Emulation.setPageScaleFactor", {"pageScaleFactor": 1})
     assert not display.undisturbed()
     display.show("white")
@@ -207,7 +205,7 @@ def test_a_page_that_hears_nothing_dials_again(lab: Lab, glass: OpenGlass) -> No
     display.show("white")
     before = display._screen._page
     tab.page.evaluate("heard = 0")
-    until(tab, lambda: display._screen._page not in (before, None))
+    browsing_until(tab, lambda: display._screen._page not in (before, None))
     assert display.undisturbed()
 
 
@@ -264,11 +262,11 @@ def test_the_newest_page_of_a_screen_has_it(lab: Lab, glass: OpenGlass) -> None:
     first = glass(display.url)
     display.show("white")
     second = glass(display.url)
-    until(first, lambda: "Another page" in first.page.inner_text("#state"))
+    browsing_until(first, lambda: "Another page" in first.page.inner_text("#state"))
     display.show(noise(600, 800))
     assert np.array_equal(second.seen()[:, :, 0], noise(600, 800))
     first.page.click("#fill")
-    until(first, lambda: "Another page" in second.page.inner_text("#state"))
+    browsing_until(first, lambda: "Another page" in second.page.inner_text("#state"))
 
 
 def test_a_browser_that_alters_the_picture_is_found_out(lab: Lab, glass: OpenGlass) -> None:
@@ -278,7 +276,7 @@ def test_a_browser_that_alters_the_picture_is_found_out(lab: Lab, glass: OpenGla
           const got = read.apply(this, a); got.data[400] ^= 1; return got; };"""
     tab = glass(display.url, script=script)
     order = display._screen.want(noise(600, 800))
-    until(tab, lambda: "alters the picture" in (display._screen.problem or ""))
+    browsing_until(tab, lambda: "alters the picture" in (display._screen.problem or ""))
     assert not display._screen.confirms(order)
 
 
@@ -288,5 +286,5 @@ def test_after_the_end_the_page_is_black_and_waits(lab: Lab, glass: OpenGlass) -
     display.show("white")
     display.close()
     display.close()
-    until(tab, lambda: "Waiting for labkit" in tab.page.inner_text("#state"))
+    browsing_until(tab, lambda: "Waiting for labkit" in tab.page.inner_text("#state"))
     assert tab.seen()[:5, :5].max() == 0

@@ -409,6 +409,7 @@ def test_a_capture_that_is_complete_names_the_next_command(table: Table) -> None
     table.monitor.noted("next", command="labkit fit 'night 3'")
     table.reads("phase", "Complete")
     table.reads("doing", "next: labkit fit 'night 3'")
+    assert table.monitor.snapshot()["phase"] == "complete"
 
 
 def test_a_photograph_in_the_session_ends_the_trouble_before_it() -> None:

@@ -107,18 +107,22 @@ def photographs(tmp_path_factory: pytest.TempPathFactory) -> Photographs:
     return {name: (folder / f"{name}.dng").read_bytes() for name in pictures}
 
 
-@pytest.fixture(scope="session")
-def captured(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A session of two ranges, one photograph each, that is fitted in a moment. Tests use copies."""
-    folder = tmp_path_factory.mktemp("captured")
+def capture_few(folder: Path, noll: tuple[int, int]) -> Path:
+    """Capture one photograph at each of two ranges; return the session's folder."""
     few = {
         "camera": {"frames_per_range": 1, "flats_per_range": 2, "darks": 2},
-        "fit": {"zernike_noll": [4, 5]},
+        "fit": {"zernike_noll": list(noll)},
     }
     text = plan_text(SMALL, simulated([2000, 2050.5], 1950.0, ADDRESS), few)
     with (
-        Session.create(folder / "night-1", text, folder) as opened,
+        Session.create(folder, text, folder.parent) as opened,
         open_devices(opened.plan) as devices,
     ):
         run_plan(opened, devices, check=False)
-    return folder / "night-1"
+    return folder
+
+
+@pytest.fixture(scope="session")
+def captured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A session of two ranges, one photograph each, that is fitted in a moment. Tests use copies."""
+    return capture_few(tmp_path_factory.mktemp("captured") / "night-1", (4, 5))

@@ -13,36 +13,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labkit.acquisition.capture import run_plan
 from labkit.analysis.fit import fit
 from labkit.cli import run
-from labkit.devices.registry import open_devices
 from labkit.errors import DataError, InputError
 from labkit.files import writing
 from labkit.plan import Plan
 from labkit.results import Results
 from labkit.session.session import Session
-from tests.plans import SMALL, plan_text, simulated
 
-from .conftest import ADDRESS
+from .conftest import capture_few
 
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Captured once and fitted whole, with few modes, for the tests here to fit again."""
-    folder = tmp_path_factory.mktemp("refit")
-    few = {
-        "camera": {"frames_per_range": 1, "flats_per_range": 2, "darks": 2},
-        "fit": {"zernike_noll": [4, 6]},
-    }
-    text = plan_text(SMALL, simulated([2000, 2050.5], 1950.0, ADDRESS), few)
-    with (
-        Session.create(folder / "session", text, folder) as opened,
-        open_devices(opened.plan) as devices,
-    ):
-        run_plan(opened, devices, check=False)
-    fit(folder / "session", workers=1)
-    return folder / "session"
+    folder = capture_few(tmp_path_factory.mktemp("refit") / "session", (4, 6))
+    fit(folder, workers=1)
+    return folder
 
 
 def test_a_partial_fit_has_a_name_of_its_own_and_leaves_the_whole_one(
