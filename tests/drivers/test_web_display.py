@@ -252,7 +252,9 @@ def test_two_displays_show_two_pictures(lab: Lab, glass: OpenGlass) -> None:
     for tab, picture in zip(tabs, pictures, strict=True):
         assert np.array_equal(tab.seen()[:, :, 2], picture)
     right.close()
-    until(tabs[1], lambda: "Waiting for labkit" in tabs[1].page.inner_text("#state"))
+    browsing_until(
+        tabs[1], lambda: "Waiting for labkit" in tabs[1].page.inner_text("#state")
+    )
     assert tabs[1].seen()[:5, :5].max() == 0
     assert left.undisturbed()
 
