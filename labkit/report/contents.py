@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from labkit.field.tables import coverage
 from labkit.figure_style import channel_inks
 from labkit.optics.wavefront import DEFOCUS
 from labkit.report.curves import MTF_DIRECTIONS, ChannelFocus, Curves, full_nyquist_per_mm
@@ -114,7 +113,7 @@ def contents(
         "sources": SOURCES,
         "checks": _checks(whole),
         "camera_tilt": field.camera_tilt if field else None,
-        "field_coverage": coverage(field.covered) if field else "",
+        "field_coverage": field.coverage if field else "",
         "field_sign_open": field is not None and field.sign_open,
         **(field.tables() if field else NO_FIELD_TABLES),
         "lens_table": lens,

@@ -19,6 +19,7 @@ from labkit.field.pair import Pair
 from labkit.field.session_geometry import corner_numbers, session_geometry
 from labkit.field.session_tilt import session_tilt
 from labkit.field.surfaces import ASTIGMATISM, focus_um
+from labkit.field.tables import coverage
 from labkit.field.target_tilt import SeparatedTilt
 from labkit.field.terms import LensTerms, lens_terms
 from labkit.field.tiles import covered, sign_is_open
@@ -134,9 +135,9 @@ class FieldArtist:
         return sign_is_open(self.results)
 
     @property
-    def covered(self) -> tuple[float, float]:
-        """Shares of the frame's height and width between the tiles' outermost edges."""
-        return covered(self.results, self.model)
+    def coverage(self) -> str:
+        """The shares of the frame between the tiles' outermost edges, in words."""
+        return coverage(covered(self.results, self.model))
 
     def tables(self) -> dict[str, Table | None]:
         """Return the tables of the field by their names in the template; None for one without rows."""
