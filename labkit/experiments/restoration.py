@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 
 from labkit.errors import InputError
 from labkit.experiments.camera import Camera
+from labkit.experiments.conditions import NOLL
 from labkit.experiments.methods.restoration_baselines import BASELINES, interpolated, psf_of
 from labkit.experiments.picture_camera import PictureCamera
 from labkit.experiments.runner import Claim, Outcome, Setting, all_answers
@@ -26,7 +27,7 @@ from labkit.restoration.strength import DISCREPANCY
 from labkit.restoration.tiles import restore_job
 from labkit.types import Floats
 
-PICTURES = (
+SCENE_PICTURES = (
     "camera",
     "coins",
     "brick",
@@ -38,17 +39,20 @@ PICTURES = (
     "chelsea",
 )
 """scikit-image's, which lie on the disk with it: six grey ones and three in colour."""
-REFERENCE_UM, F_NUMBER, PITCH_UM = (
+REFERENCE_UM, SCENE_F_NUMBER, SCENE_PITCH_UM = (
     0.45,
     2.868,
     4.78,
 )  # the cone at the sensor, focused at 3 m
-NOLL = tuple(range(4, 16))
 WAVES = np.array(
     [0.0, 0.021, -0.018, 0.024, 0.019, -0.022, 0.013, 0.027, -0.015, 0.017, -0.012, 0.020]
 )
-GAIN, READ_NOISE, WHITE = 0.45, 1.13, 10_350.0  # counts an electron, counts, counts
-FRAME = 64
+SCENE_GAIN, SCENE_READ_NOISE, SCENE_WHITE = (
+    0.45,
+    1.13,
+    10_350.0,
+)  # counts an electron, counts, counts
+SCENE_FRAME = 64
 TORUS = 112
 SQUARES = 2
 SAMPLES = 6
@@ -64,11 +68,11 @@ GRANTED = {
     "total-variation": (5e-4,),
 }
 """Settings of the others, of which each scene's best is taken by its truth; ours are not chosen so."""
-OURS = "full PSF"
+FULL_PSF = "full PSF"
 DEFOCUS_ONLY = "defocus alone"
 BLURRED = "interpolated"
 SEVERAL = "four frames"
-COLOURS = "three colours"
+THREE_COLOURS = "three colours"
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,9 +180,9 @@ def _lens(name: str, defocus_only: bool) -> Colour:
     optics = Optics(
         wavelength_nm=1e3 * light.wavelength_um,
         reference_nm=1e3 * REFERENCE_UM,
-        f_number=F_NUMBER,
-        pitch_um=PITCH_UM,
-        active_um=PITCH_UM,
+        f_number=SCENE_F_NUMBER,
+        pitch_um=SCENE_PITCH_UM,
+        active_um=SCENE_PITCH_UM,
         noll=NOLL,
     )
     waves = (
@@ -186,19 +190,19 @@ def _lens(name: str, defocus_only: bool) -> Colour:
         if defocus_only
         else light.waves()
     )
-    return Colour(name, light.places, optics, waves, GAIN, READ_NOISE**2)
+    return Colour(name, light.places, optics, waves, SCENE_GAIN, SCENE_READ_NOISE**2)
 
 
 def work(task: Task) -> Answer:
     """Photograph one scene, and restore its red channel by every method."""
-    rng = np.random.default_rng(PICTURES.index(task.picture))
+    rng = np.random.default_rng(SCENE_PICTURES.index(task.picture))
     worlds = _worlds(task.picture)
     shifts = [(0.0, 0.0), *map(tuple, rng.uniform(-2, 2, (FRAMES - 1, 2)))]
-    frames = [exposed(WHITE * _mosaic(worlds, shift), rng) for shift in shifts]
+    frames = [exposed(SCENE_WHITE * _mosaic(worlds, shift), rng) for shift in shifts]
     made = partial(job_of, samples=task.samples)
     truth = worlds["R"].truth(task.samples)
     one = made(frames[:1])
-    restored = {BLURRED: interpolated(one, 0) / WHITE}
+    restored = {BLURRED: interpolated(one, 0) / SCENE_WHITE}
     seconds = {BLURRED: 0.0}
     for name in GRANTED:
         began = perf_counter()
@@ -206,18 +210,23 @@ def work(task: Task) -> Answer:
         seconds[name] = perf_counter() - began
     ways: dict[str, Callable[[], Job]] = {
         DEFOCUS_ONLY: lambda: made(frames[:1], defocus_only=True),
-        OURS: lambda: one,
+        FULL_PSF: lambda: one,
     }
-    ways |= {SEVERAL: lambda: made(frames), COLOURS: lambda: made(frames[:1], names="RGB")}
+    ways |= {
+        SEVERAL: lambda: made(frames),
+        THREE_COLOURS: lambda: made(frames[:1], names="RGB"),
+    }
     for name, job in ways.items():
         began = perf_counter()
-        found = restore_job(job(), DISCREPANCY, FRAME, 0)
-        restored[name], seconds[name] = found.scene[0] / WHITE, perf_counter() - began
-        if name == OURS:
-            apart = np.abs(found.scene[0] / WHITE - truth) / (found.std[0] / WHITE)
+        found = restore_job(job(), DISCREPANCY, SCENE_FRAME, 0)
+        restored[name], seconds[name] = found.scene[0] / SCENE_WHITE, perf_counter() - began
+        if name == FULL_PSF:
+            apart = np.abs(found.scene[0] / SCENE_WHITE - truth) / (
+                found.std[0] / SCENE_WHITE
+            )
             covered = (float(np.mean(apart < 1)), float(np.mean(apart < 2)))
     return Answer(
-        task.samples, truth, frames[0][::2, ::2] / WHITE, restored, seconds, covered
+        task.samples, truth, frames[0][::2, ::2] / SCENE_WHITE, restored, seconds, covered
     )
 
 
@@ -225,7 +234,9 @@ def _worlds(picture: str) -> dict[str, PictureCamera]:
     """Return the scene in each colour."""
     worlds = {}
     for (name, light), radiance in zip(LIGHTS.items(), scene(picture), strict=True):
-        camera = Camera(light.wavelength_um, F_NUMBER, PITCH_UM, TORUS, FRAME, 8)
+        camera = Camera(
+            light.wavelength_um, SCENE_F_NUMBER, SCENE_PITCH_UM, TORUS, SCENE_FRAME, 8
+        )
         waves = light.waves() * REFERENCE_UM / light.wavelength_um
         worlds[name] = PictureCamera(radiance, SQUARES, camera, waves, NOLL)
     return worlds
@@ -233,7 +244,7 @@ def _worlds(picture: str) -> dict[str, PictureCamera]:
 
 def _mosaic(worlds: dict[str, PictureCamera], shift_px: tuple[float, float]) -> Floats:
     """Return (frame, frame) mean radiance in a Bayer array's pixels, relative to white."""
-    mosaic = np.empty((FRAME, FRAME))
+    mosaic = np.empty((SCENE_FRAME, SCENE_FRAME))
     for name, world in worlds.items():
         mean = world.mean(shift_px)
         for row, column in LIGHTS[name].places:
@@ -244,13 +255,14 @@ def _mosaic(worlds: dict[str, PictureCamera], shift_px: tuple[float, float]) -> 
 def exposed(mean: Floats, rng: np.random.Generator) -> Floats:
     """Return counts above black, rounded."""
     return np.rint(
-        GAIN * rng.poisson(mean.clip(0) / GAIN) + rng.normal(0, READ_NOISE, mean.shape)
+        SCENE_GAIN * rng.poisson(mean.clip(0) / SCENE_GAIN)
+        + rng.normal(0, SCENE_READ_NOISE, mean.shape)
     )
 
 
 def _best(name: str, job: Job, truth: Floats) -> Floats:
     """Return another method's scene with the setting nearest the truth; stop once settings get worse."""
-    blurred = interpolated(job, 0) / WHITE
+    blurred = interpolated(job, 0) / SCENE_WHITE
     psf = psf_of(job, 0)
     reach = GUARD * job.samples
     best = blurred
@@ -271,9 +283,9 @@ def _best(name: str, job: Job, truth: Floats) -> Floats:
 def run(setting: Setting) -> Outcome:
     """Measure RMSE, PSNR and SSIM of every method on every scene."""
     tasks = (
-        [Task(PICTURES[0], QUICK_SAMPLES)]
+        [Task(SCENE_PICTURES[0], QUICK_SAMPLES)]
         if setting.quick
-        else [Task(name) for name in PICTURES]
+        else [Task(name) for name in SCENE_PICTURES]
     )
     answers = all_answers(setting, work, tasks, lambda task: task.picture)
     rows = [
@@ -285,8 +297,8 @@ def run(setting: Setting) -> Outcome:
             "psnr_db": -20 * np.log10(answer.rmse(name)),
             "ssim": answer.ssim(name),
             "seconds": answer.seconds[name],
-            "within_1_std": answer.covered[0] if name == OURS else None,
-            "within_2_std": answer.covered[1] if name == OURS else None,
+            "within_1_std": answer.covered[0] if name == FULL_PSF else None,
+            "within_2_std": answer.covered[1] if name == FULL_PSF else None,
         }
         for task, answer in zip(tasks, answers, strict=True)
         for name in answer.restored
@@ -311,10 +323,10 @@ def _claims(rows: list[dict[str, Any]], n: int) -> list[Claim]:
         claims.append(Claim(f"PSNR, {name}", None, mean(name, "psnr_db"), "dB", n))
         claims.append(Claim(f"SSIM, {name}", None, mean(name, "ssim"), "", n))
     comparisons = [
-        (OURS, "richardson-lucy"),
-        (COLOURS, "richardson-lucy"),
-        (SEVERAL, OURS),
-        (OURS, DEFOCUS_ONLY),
+        (FULL_PSF, "richardson-lucy"),
+        (THREE_COLOURS, "richardson-lucy"),
+        (SEVERAL, FULL_PSF),
+        (FULL_PSF, DEFOCUS_ONLY),
     ]
     for key, where in (
         ("rmse", "whole frame"),
@@ -333,9 +345,9 @@ def _claims(rows: list[dict[str, Any]], n: int) -> list[Claim]:
     for k, key in ((1, "within_1_std"), (2, "within_2_std")):
         claims.append(
             Claim(
-                f"truth within {k} standard errors, {OURS}",
+                f"truth within {k} standard errors, {FULL_PSF}",
                 None,
-                100 * mean(OURS, key),
+                100 * mean(FULL_PSF, key),
                 "%",
                 n,
             )
@@ -351,9 +363,9 @@ def _draw(answer: Answer) -> Figure:
         "richardson-lucy",
         "total-variation",
         DEFOCUS_ONLY,
-        OURS,
+        FULL_PSF,
         SEVERAL,
-        COLOURS,
+        THREE_COLOURS,
     )
     shown = {"truth": answer.truth} | {name: answer.restored[name] for name in order}
     shape: Callable[[Floats], Floats] = lambda image: image.clip(0, 1) ** (1 / 2.2)  # noqa: E731
