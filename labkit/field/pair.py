@@ -50,7 +50,8 @@ class Pair:
             largest = float(np.linalg.eigvalsh(self.covariance)[-1])
             return Uncertain(0.0, sqrt(max(largest, 0.0)), self.unit)
         along = self.value / length
-        return Uncertain(length, sqrt(along @ self.covariance @ along), self.unit)
+        variance = max(float(along @ self.covariance @ along), 0.0)
+        return Uncertain(length, sqrt(variance), self.unit)
 
     @property
     def direction_deg(self) -> Uncertain:
@@ -60,7 +61,8 @@ class Pair:
         square = float(across @ across)
         if not square > 0:
             return Uncertain(np.nan, UNKNOWN_ANGLE_DEG, "deg")
-        std = degrees(sqrt(across @ self.covariance @ across)) / square
+        variance = max(float(across @ self.covariance @ across), 0.0)
+        std = degrees(sqrt(variance)) / square
         angle = degrees(np.arctan2(down, right))
         return Uncertain(angle, min(std, UNKNOWN_ANGLE_DEG), "deg")
 

@@ -84,7 +84,8 @@ def test_what_photographs_call_for_does_not_depend_on_numbers_that_move_nothing(
             ours[name].slope,
             test.slope,
             rtol=1e-6,
-            atol=5e-6 * np.sqrt(np.abs(test.information).max()),
+            # two climbs: up to 6.1e-6 standard errors apart, by machine
+            atol=1e-5 * np.sqrt(np.abs(test.information).max()),
         )
 
 
