@@ -16,8 +16,8 @@ from labkit.execute import pin_threads
 from labkit.experiments.annealing import Task, work
 from labkit.experiments.conditions import (
     AIRY_UM,
-    F_NUMBER,
     NOLL,
+    THESIS_F_NUMBER,
     WAVELENGTH_UM,
     carpet,
     draw_trial,
@@ -113,7 +113,10 @@ _PUPILS: dict[int, Pupil] = {}
 def _pupil(size: int) -> Pupil:
     """Kept, as a fit keeps it."""
     return _PUPILS.setdefault(
-        size, Pupil(WAVELENGTH_UM, WAVELENGTH_UM, F_NUMBER, AIRY_UM / PSF_FINER, size, NOLL)
+        size,
+        Pupil(
+            WAVELENGTH_UM, WAVELENGTH_UM, THESIS_F_NUMBER, AIRY_UM / PSF_FINER, size, NOLL
+        ),
     )
 
 

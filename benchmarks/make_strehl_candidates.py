@@ -10,7 +10,7 @@ import numpy as np
 
 from labkit.experiments import methods
 from labkit.experiments.methods.strehl_candidates import (
-    NOLL,
+    CANDIDATE_NOLL,
     highest_on_shell,
     is_trivial,
     strehl,
@@ -28,10 +28,10 @@ STARTS, SEED, SAME = (
 def main() -> None:
     """Maximise on every shell from random starts and the maxima of the shell below; keep the different ends."""
     rng = np.random.default_rng(SEED)
-    rms, waves, below = [], [], np.empty((0, len(NOLL)))
+    rms, waves, below = [], [], np.empty((0, len(CANDIDATE_NOLL)))
     for shell in SHELLS:
         ends: list[np.ndarray] = []
-        for start in [*below, *rng.normal(size=(STARTS, len(NOLL)))]:
+        for start in [*below, *rng.normal(size=(STARTS, len(CANDIDATE_NOLL)))]:
             end = highest_on_shell(start, shell)
             if not any(is_trivial(end, other, SAME * shell) for other in ends):
                 ends.append(end)

@@ -26,6 +26,7 @@ import tifffile
 import labkit
 from labkit.experiments import restoration as study
 from labkit.experiments.camera import Camera
+from labkit.experiments.conditions import NOLL
 from labkit.experiments.picture_camera import PictureCamera
 from labkit.plan import Plan
 from labkit.results import Results, Wavefront
@@ -43,9 +44,9 @@ wavelength_nm = {nm}
 PLAN = f"""
 [lens]
 focal_length_mm = 70.0
-f_number = {study.F_NUMBER}
+f_number = {study.SCENE_F_NUMBER}
 [sensor]
-pixel_pitch_um = {study.PITCH_UM}
+pixel_pitch_um = {study.SCENE_PITCH_UM}
 cfa_pattern = "RGGB"
 black_level = {BLACK}
 white_level = 16383
@@ -70,13 +71,13 @@ def session(folder: Path) -> Path:
             channel=name,
             wavelength_nm=1e3 * light.wavelength_um,
             reference_wavelength_nm=1e3 * study.REFERENCE_UM,
-            f_number=study.F_NUMBER,
-            noll=study.NOLL,
+            f_number=study.SCENE_F_NUMBER,
+            noll=NOLL,
             waves=light.waves(),
-            covariance=1e-8 * np.eye(len(study.NOLL)),
+            covariance=1e-8 * np.eye(len(NOLL)),
             poses=np.zeros((1, 8)),
-            gain=study.GAIN,
-            read_noise=study.READ_NOISE,
+            gain=study.SCENE_GAIN,
+            read_noise=study.SCENE_READ_NOISE,
             chi2_per_pixel=1.0,
         )
         for name, light in lights
@@ -94,14 +95,14 @@ def worlds() -> dict[str, PictureCamera]:
     radiance = (astronaut()[::2, ::2] / 255.0) ** 2.2
     radiance = np.concatenate([radiance, radiance[::-1]])
     radiance = np.concatenate([radiance, radiance[:, ::-1]], axis=1)
-    camera = Camera(0.55, study.F_NUMBER, study.PITCH_UM, TORUS_PX, TORUS_PX, 8)
+    camera = Camera(0.55, study.SCENE_F_NUMBER, study.SCENE_PITCH_UM, TORUS_PX, TORUS_PX, 8)
     return {
         name: PictureCamera(
             radiance[..., k],
             2,
             replace(camera, wavelength_um=light.wavelength_um),
             light.waves() * study.REFERENCE_UM / light.wavelength_um,
-            study.NOLL,
+            NOLL,
         )
         for k, (name, light) in enumerate(study.LIGHTS.items())
     }
@@ -119,9 +120,9 @@ def photograph(path: Path, scene: dict[str, PictureCamera], megapixels: float) -
     rng = np.random.default_rng(1)
     counts = np.empty((rows, columns), np.uint16)
     for row in range(rows):
-        mean = study.WHITE * mosaic[row % TORUS_PX, whole].clip(0)
-        shot = study.GAIN * rng.poisson(mean / study.GAIN)
-        noisy = shot + rng.normal(BLACK, study.READ_NOISE, columns)
+        mean = study.SCENE_WHITE * mosaic[row % TORUS_PX, whole].clip(0)
+        shot = study.SCENE_GAIN * rng.poisson(mean / study.SCENE_GAIN)
+        noisy = shot + rng.normal(BLACK, study.SCENE_READ_NOISE, columns)
         counts[row] = np.rint(noisy).clip(0, 16383)
     tifffile.imwrite(path, counts)
 
@@ -138,7 +139,7 @@ def compared(folder: Path, truth: Floats) -> tuple[list[float], list[float]]:
         squares += np.sum(apart**2, axis=0)
         within += np.sum(np.abs(apart) < error, axis=0)
     count = scene.shape[0] * scene.shape[1]
-    rmse = 100 * np.sqrt(squares / count) / study.WHITE
+    rmse = 100 * np.sqrt(squares / count) / study.SCENE_WHITE
     return rmse.round(3).tolist(), (within / count).round(3).tolist()
 
 
@@ -197,7 +198,7 @@ def main() -> None:
             )
         seconds = perf_counter() - began
         used = processor_seconds() - before
-        truths = [study.WHITE * world.truth(int(samples)) for world in scene.values()]
+        truths = [study.SCENE_WHITE * world.truth(int(samples)) for world in scene.values()]
         rmse, within = compared(made.folder, np.stack(truths, axis=-1))
         figures = {
             "megapixels": megapixels,

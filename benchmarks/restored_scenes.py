@@ -12,6 +12,7 @@ import numpy as np
 
 from labkit.experiments import restoration as study
 from labkit.experiments.camera import Camera
+from labkit.experiments.conditions import NOLL
 from labkit.experiments.picture_camera import PictureCamera
 from labkit.restoration.strength import DISCREPANCY
 from labkit.restoration.tiles import restore_job
@@ -63,15 +64,20 @@ def restored(scene: Floats, seed: int) -> tuple[float, float, float]:
     """Return RMSE in % of white, and the shares of the truth within one and two standard errors."""
     light = study.LIGHTS["R"]
     camera = Camera(
-        light.wavelength_um, study.F_NUMBER, study.PITCH_UM, TORUS_PX, FRAME_PX, 8
+        light.wavelength_um,
+        study.SCENE_F_NUMBER,
+        study.SCENE_PITCH_UM,
+        TORUS_PX,
+        FRAME_PX,
+        8,
     )
     waves = light.waves() * study.REFERENCE_UM / light.wavelength_um
-    world = PictureCamera(scene, SQUARES, camera, waves, study.NOLL)
-    frame = study.exposed(study.WHITE * world.mean(), np.random.default_rng(seed))
+    world = PictureCamera(scene, SQUARES, camera, waves, NOLL)
+    frame = study.exposed(study.SCENE_WHITE * world.mean(), np.random.default_rng(seed))
     picture = restore_job(study.job_of([frame], SAMPLES), DISCREPANCY, FRAME_PX, 0)
-    apart = picture.scene[0] - study.WHITE * world.truth(SAMPLES)
+    apart = picture.scene[0] - study.SCENE_WHITE * world.truth(SAMPLES)
     over = np.abs(apart) / picture.std[0]
-    rmse = 100 * float(np.sqrt(np.mean(apart**2))) / study.WHITE
+    rmse = 100 * float(np.sqrt(np.mean(apart**2))) / study.SCENE_WHITE
     return rmse, float(np.mean(over < 1)), float(np.mean(over < 2))
 
 

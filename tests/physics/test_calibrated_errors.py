@@ -12,6 +12,7 @@ import pytest
 from labkit.execute import Workers
 from labkit.experiments import restoration as study
 from labkit.experiments.camera import Camera
+from labkit.experiments.conditions import NOLL
 from labkit.experiments.picture_camera import PictureCamera
 from labkit.restoration.canvas import Canvas
 from labkit.restoration.strength import DISCREPANCY
@@ -26,21 +27,26 @@ def photographed(picture: str) -> tuple[PictureCamera, np.ndarray]:
     """A natural scene in the study's red light, and its counts in every pixel."""
     light = study.LIGHTS["R"]
     camera = Camera(
-        light.wavelength_um, study.F_NUMBER, study.PITCH_UM, study.TORUS, study.FRAME, 8
+        light.wavelength_um,
+        study.SCENE_F_NUMBER,
+        study.SCENE_PITCH_UM,
+        study.TORUS,
+        study.SCENE_FRAME,
+        8,
     )
     waves = light.waves() * study.REFERENCE_UM / light.wavelength_um
-    seen = PictureCamera(study.scene(picture)[0], study.SQUARES, camera, waves, study.NOLL)
+    seen = PictureCamera(study.scene(picture)[0], study.SQUARES, camera, waves, NOLL)
     rng = np.random.default_rng(1)
-    electrons = rng.poisson(study.WHITE * seen.mean().clip(0) / study.GAIN)
-    noise = rng.normal(0, study.READ_NOISE, electrons.shape)
-    return seen, np.rint(study.GAIN * electrons + noise)
+    electrons = rng.poisson(study.SCENE_WHITE * seen.mean().clip(0) / study.SCENE_GAIN)
+    noise = rng.normal(0, study.SCENE_READ_NOISE, electrons.shape)
+    return seen, np.rint(study.SCENE_GAIN * electrons + noise)
 
 
 @pytest.mark.parametrize("picture", ["camera", "coins", "moon", "astronaut"])
 def test_two_thirds_of_a_natural_scene_are_within_one_standard_error(picture: str) -> None:
     seen, counts = photographed(picture)
-    found = restore_job(study.job_of([counts], SAMPLES), DISCREPANCY, study.FRAME, 0)
-    apart = np.abs(found.scene[0] - study.WHITE * seen.truth(SAMPLES)) / found.std[0]
+    found = restore_job(study.job_of([counts], SAMPLES), DISCREPANCY, study.SCENE_FRAME, 0)
+    apart = np.abs(found.scene[0] - study.SCENE_WHITE * seen.truth(SAMPLES)) / found.std[0]
     assert np.mean(apart < 1) == pytest.approx(0.68, abs=0.1)
 
 
