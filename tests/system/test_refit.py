@@ -131,7 +131,7 @@ def labkit(*args: str) -> list[str]:
 def test_a_fit_that_was_killed_and_found_the_disk_full_goes_on_where_it_was(
     session: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def full(path: Path, content: bytes) -> None:
+    def full(path: Path) -> None:
         with writing(path):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -147,7 +147,7 @@ def test_a_fit_that_was_killed_and_found_the_disk_full_goes_on_where_it_was(
     kept = {path: path.stat().st_mtime_ns for path in folder.glob(".fits/[!.]*")}
     assert kept
     with monkeypatch.context() as patch:
-        patch.setattr("labkit.results.storage.write_atomically", full)
+        patch.setattr("labkit.results.storage.replacing", full)
         with pytest.raises(
             InputError,
             match="No space left on device; make room and fit again: that goes on where",
