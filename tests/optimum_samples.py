@@ -18,7 +18,7 @@ from labkit.estimation.residuals import Verdict
 from labkit.estimation.scores import ScoreTest
 from labkit.estimation.searches import Task
 from labkit.estimation.session import estimate
-from labkit.estimation.together import TogetherTask, climb_together
+from labkit.estimation.together import TogetherTask, search_together
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
 from labkit.plan import Plan
@@ -125,6 +125,10 @@ def right(task: Task) -> Found:
     return Found((optimum(task.optics, range_of(task)),))
 
 
+Ends = tuple[tuple[Floats, ...], ...]
+"""Of a search over several stations: wavefronts (modes,) of each station."""
+
+
 @dataclass
 class Play:
     """A run whose searches end as a function of their tasks has it.
@@ -132,24 +136,24 @@ class Play:
     Attributes
     ----------
     ends : what a search finds; None where its process is killed
-    together : what a climb over several stations ends in; None where its process is killed
+    together : ends of a search over several stations; None where its process is killed
     order : of the results, given how many they are
     batches : searches, as they were asked for
-    climbs : climbs over several stations, as they were asked for
+    common : searches over several stations, as they were asked for
     """
 
     ends: Callable[[Task], Found | None] = right
-    together: Callable[[TogetherTask], tuple[Floats, ...] | None] = lambda task: None
+    together: Callable[[TogetherTask], Ends | None] = lambda task: None
     order: Callable[[int], Sequence[int]] = range
     batches: list[list[Task]] = field(default_factory=list)
-    climbs: list[TogetherTask] = field(default_factory=list)
+    common: list[TogetherTask] = field(default_factory=list)
 
     def __call__(
         self, function: Callable[[Any], Any], tasks: Sequence[Any]
     ) -> Iterator[tuple[int, Any]]:
         results: list[Any]
-        if function is climb_together:
-            self.climbs += tasks
+        if function is search_together:
+            self.common += tasks
             results = [self.together(task) for task in tasks]
         else:
             self.batches.append([*tasks])

@@ -46,17 +46,28 @@ class Settings:
 
     # together: several stations at once, from nothing
     contrary_waves: float = 0.15
-    """RMS difference between modes of two unexplained optima, except defocus, beyond which stations are searched together.
-    A model without blades, an obstruction of 0.42 or higher modes left 0.006 to 0.09; half a wave in 34 modes left 0.27."""
+    """RMS difference between modes of two unexplained optima, except defocus, or between their defocus and the lens's steps,
+    beyond which stations are searched together. A model without blades, an obstruction of 0.42 or higher modes left 0.006 to
+    0.09 in the modes; half a wave in 34 modes left 0.11 to 0.27, and defocus up to 0.6 out of step."""
     stations: int = 3
     """Number of stations: the nearest, the farthest and the middle one."""
-    foci_waves: float = 0.25
-    """Distance of best foci that are tried, at the light's own wavelength: climbs began up to 0.15 waves off."""
+    coarse_airy: tuple[float, float] = (12.0, 6.0)
+    """Widths of coarse pixels, lambda N: in these pictures one wave RMS blurs as much as a quarter and half a wave do in whole
+    ones."""
+    coarse_pixel_airy: float = 6.0
+    """Width of a coarse pixel, in its own lambda N: a wider one is given light of a longer wavelength."""
+    strong_starts: int = 16
+    """Largest number of starts: with one wave RMS in 34 modes, of six sessions the right optimum was reached from the first to
+    the tenth start."""
+    strong_start_waves: float = 0.05
+    """RMS of each mode beyond defocus of a start."""
+    other_coarse_waves: float = 0.05
+    """RMS over the modes: a smaller difference between ends in coarse pictures is no other optimum."""
     first_damping: float = 1.0
     """Damping of the first step: with 1e-3, climbs jumped to other optima where modes have one wave RMS."""
-    strong_steps: int = 60
-    """Largest number of steps: with half a wave RMS in 34 modes climbs take 14 to 27, with one wave 50 to 70."""
-    strong_modes_std: float = 0.1
+    strong_steps: int = 30
+    """Largest number of steps: climbs to the right optimum took 16 to 30 in the coarsest pictures, others more."""
+    strong_modes_std: float = 0.15
     """Standard deviation of each mode beyond defocus before any photograph, waves RMS: it holds what a sketch leaves open."""
 
     # small_problem: one frame, its pose held

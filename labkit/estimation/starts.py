@@ -74,6 +74,10 @@ class Sketches:
         )
         return self._problem(self.band if band is None else band, window_airy)
 
+    def holding(self, waves: Floats) -> Problem:
+        """Return a sketch for a wavefront (modes,), in a window as wide as it needs."""
+        return self._problem(self.band, max(WINDOW_AIRY, self.optics.window_airy(waves)))
+
     def _problem(self, band: float, window_airy: float) -> Problem:
         key = band, window_airy
         if key not in self._made:

@@ -13,7 +13,7 @@ from labkit.estimation.local import Found, Guesses, Optimum
 from labkit.estimation.searches import Searches
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import nominal_f_number, optics_of
-from labkit.estimation.together import TogetherTask, climb_together
+from labkit.estimation.together import TogetherTask, search_together
 from labkit.imaging.optics import Optics
 from labkit.optics.lens import ThinLens, defocus_waves
 from labkit.optics.wavefront import DEFOCUS
@@ -49,17 +49,15 @@ class StrongSearch:
         parts and modes in the new model, and the new optima by observation; None if they gain less than they cost
         """
         best = {k: one.best for k, one in found.items()}
-        if not _contradictory(list(best.values())):
+        if not _unexplained(list(best.values())) or (
+            _agree(list(best.values()), SETTINGS.contrary_waves) and self._in_step(best)
+        ):
             return None
         choice = parts | set(self.plan.fit.mode_groups)
-        stations, begun = self._stations(found), list[Floats]()
+        stations = self._stations(found)
         optics, f_number_std = self._optics(stations, choice)
         reached = dict[int, Found]()
-        for rank in range(SETTINGS.tried):
-            waves = self._together(stations, optics, rank)
-            if waves is None or _known(waves[0], begun):
-                break
-            begun.append(waves[0])
+        for waves in self._together(stations, optics):
             ends = self._searched(stations, optics, f_number_std, waves)
             if _height(ends) > _height(reached):
                 reached = ends
@@ -99,30 +97,49 @@ class StrongSearch:
         optics = replace(optics.with_parts(choice).begun(), f_number=f_number.value)
         return optics, f_number.std / f_number.value
 
-    def _ranges_mm(self, stations: list[int]) -> Floats:
+    def _ranges_mm(self, stations: Sequence[int]) -> Floats:
         """Return the ranges (stations,)."""
         observations = self.search.observations
         return np.array([observations[k].measured_range_mm or 0.0 for k in stations])
 
-    def _together(
-        self, stations: list[int], optics: Optics, rank: int
-    ) -> tuple[Floats, ...] | None:
-        """Return the end of a climb over several stations; None if it was lost for lack of memory."""
+    def _defocus(self, stations: Sequence[int], optics: Optics) -> Floats:
+        """Return the defocus (stations,) of stations relative to the first, by the stated lens, waves RMS."""
         lens = ThinLens(self.plan.lens.focal_length_mm, self.plan.lens.f_number)
         ranges_mm = self._ranges_mm(stations)
-        defocus = defocus_waves(lens, ranges_mm, ranges_mm[0], optics.reference_um * 1e3)
+        return np.asarray(
+            defocus_waves(lens, ranges_mm, ranges_mm[0], optics.reference_um * 1e3)
+        )
+
+    def _in_step(self, best: Mapping[int, Optimum]) -> bool:
+        """Return whether the defocus of optima, or of their twins, differs as the stated lens says."""
+        first, *others = best.values()
+        _, *steps = self._defocus(list(best), first.optics)
+        return all(
+            min(
+                abs(end * other.waves[0] - begin * first.waves[0] - step)
+                for begin in (1, -1)
+                for end in (1, -1)
+            )
+            < SETTINGS.contrary_waves + 2 * SETTINGS.loose * abs(step)
+            for other, step in zip(others, steps, strict=True)
+        )
+
+    def _together(
+        self, stations: list[int], optics: Optics
+    ) -> tuple[tuple[Floats, ...], ...]:
+        """Return the ends of a search over several stations; none if it was lost for lack of memory."""
+        defocus = self._defocus(stations, optics)
         task = TogetherTask(
             optics,
             self.search.shown[self.search.observations[stations[0]].channel],
             tuple(self.search.views[k] for k in stations),
             tuple(defocus.tolist()),
-            rank,
         )
         try:
-            ((_, end),) = self.search.run(climb_together, [task])
+            ((_, ends),) = self.search.run(search_together, [task])
         except LostTasksError:
-            return None
-        return end
+            return ()
+        return ends
 
     def _searched(
         self,
@@ -131,7 +148,7 @@ class StrongSearch:
         f_number_std: float,
         waves: Sequence[Floats],
     ) -> dict[int, Found]:
-        """Climb over each station alone, from its wavefront (modes,) by the common climb."""
+        """Climb over each station alone, from its wavefront (modes,) by the common search."""
         blind = Guesses(f_number_std, deep=False, alone=False)
         blind = with_tests(blind, optics, self.plan)
         wanted = {
@@ -141,18 +158,12 @@ class StrongSearch:
         return self.search(wanted, "fitting strong wavefronts")
 
 
-def _known(waves: Floats, others: Sequence[Floats]) -> bool:
-    """Return whether a wavefront (modes,) is one of others. Steps between stations give it its sign, so no twin counts."""
-    return any(np.linalg.norm(waves - one) < SETTINGS.sure_waves for one in others)
-
-
-def _contradictory(optima: list[Optimum]) -> bool:
-    """Return whether optima of several stations, none of them explained, have other modes, their twins too."""
+def _unexplained(optima: list[Optimum]) -> bool:
+    """Return whether optima are of several stations, and none is explained."""
     return (
         len(optima) > 1
         and optima[0].noll[0] == DEFOCUS
         and not any(one.verdict.accepted for one in optima)
-        and not _agree(optima, SETTINGS.contrary_waves)
     )
 
 

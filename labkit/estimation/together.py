@@ -1,9 +1,9 @@
-"""A climb over several stations at once, from nothing, for wavefronts too strong for a search at one station.
+"""A search over several stations at once, from nothing, for wavefronts too strong for a search at one station.
 
 With half a wave RMS in high orders a picture has many optima, and most are nearly as good as the right one. Pictures of one
-lens with several amounts of defocus leave few (phase diversity: R. A. Gonsalves, Opt. Eng. 21, 829 (1982)). All modes but
-defocus are common to the stations. One frame of each is sketched, with the stated f-number: the end is a start for climbs over
-the whole likelihood of each station.
+lens with several amounts of defocus leave few (phase diversity: R. A. Gonsalves, Opt. Eng. 21, 829 (1982)), and coarse pictures
+fewer still (`coarse`). All modes but defocus are common to the stations, and their distances say how defocus differs. One
+frame of each is used, with the stated f-number: the ends are starts for climbs over the whole likelihood of each station.
 """
 
 from __future__ import annotations
@@ -25,10 +25,12 @@ from labkit.estimation.climb import (
     damped_step,
     sane,
 )
-from labkit.estimation.local import Views, first_state
+from labkit.estimation.coarse import Coarse
+from labkit.estimation.local import Views
 from labkit.estimation.settings import SETTINGS
-from labkit.estimation.starts import Sketches, fitted_light, settle
+from labkit.estimation.starts import settle
 from labkit.imaging.optics import Optics
+from labkit.imaging.warp import Pose
 from labkit.processes import say
 from labkit.sharing import Shared
 from labkit.target import Target
@@ -37,7 +39,7 @@ from labkit.types import Floats
 
 @dataclass(frozen=True)
 class TogetherTask:
-    """One climb over several stations as a task.
+    """One search over several stations as a task.
 
     Attributes
     ----------
@@ -45,80 +47,143 @@ class TogetherTask:
     target : the target as shown
     stations : frames of each station
     defocus : of each station relative to the first, by the stated lens, waves RMS at the reference wavelength
-    rank : place of the best focus to start from, among the likeliest
     """
 
     optics: Optics
     target: Shared[Target]
     stations: tuple[Shared[Views], ...]
     defocus: tuple[float, ...]
-    rank: int
 
 
-def climb_together(task: TogetherTask) -> tuple[Floats, ...]:
-    """Climb from one of the likeliest best foci, all modes but defocus from zero.
+@dataclass(frozen=True, eq=False)
+class _End:
+    """The end of a climb over several stations.
+
+    Attributes
+    ----------
+    waves : (modes,) of each station, waves RMS
+    poses : of each station's first frame; empty if unknown
+    height : log-likelihood
+    """
+
+    waves: tuple[Floats, ...]
+    poses: tuple[Pose, ...] = ()
+    height: float = -np.inf
+
+    def same_as(self, other: _End) -> bool:
+        """Return whether both are one optimum. Steps between stations give wavefronts their sign, so no twin counts."""
+        return bool(
+            np.linalg.norm(self.waves[0] - other.waves[0]) < SETTINGS.other_coarse_waves
+        )
+
+
+def search_together(task: TogetherTask) -> tuple[tuple[Floats, ...], ...]:
+    """Search several stations from random starts: coarse pictures first, then the best ends in finer ones.
 
     Returns
     -------
-    (modes,) of each station, waves RMS
+    the best ends, the likeliest first: (modes,) of each station, waves RMS
     """
-    say(f"several ranges at once, start {task.rank + 1}")
-    optics = task.optics.in_one_wavelength()
-    sketches = [
-        Sketches(optics, task.target.value, v.frames[0], v.poses[0], v.noise)
-        for v in (shared.value for shared in task.stations)
+    coarse, finer = (_coarse(task, width) for width in SETTINGS.coarse_airy)
+    ends = [
+        _climbed(finer, task.defocus, end)
+        for end in _distinct(_from_random_starts(coarse, task.defocus))
     ]
-    states = _from_best_focus(sketches, task.defocus, task.rank)
-    problems = tuple(one.wide for one in sketches)
+    return tuple(end.waves for end in _distinct(ends))
+
+
+def _coarse(task: TogetherTask, width_airy: float) -> list[Coarse]:
+    """Return the first frame of each station with pixels `width_airy` wide, lambda N."""
+    optics = task.optics.in_one_wavelength()
+    return [
+        Coarse.of(optics, task.target.value, shared.value, width_airy)
+        for shared in task.stations
+    ]
+
+
+def _from_random_starts(stations: Sequence[Coarse], defocus: Sequence[float]) -> list[_End]:
+    """Climb from random starts until two ended in the best optimum. No start is without defocus: even modes had no slopes."""
+    rng = np.random.default_rng(1)
+    modes = len(stations[0].sketch.optics.noll) - 1
+    beyond = SETTINGS.near_waves
+    ends = list[_End]()
+    while len(ends) < SETTINGS.strong_starts and not _returned(ends):
+        say(f"several ranges at once, start {len(ends) + 1}")
+        focus = rng.uniform(min(defocus) - beyond, max(defocus) + beyond)
+        others = rng.normal(0, SETTINGS.strong_start_waves, modes)
+        start = tuple(np.append(at - focus, others) for at in defocus)
+        ends.append(_climbed(stations, defocus, _End(start)))
+    return ends
+
+
+def _returned(ends: Sequence[_End]) -> bool:
+    """Return whether two ends are the best optimum."""
+    if len(ends) < 2:
+        return False
+    best = max(ends, key=lambda end: end.height)
+    return sum(end.same_as(best) for end in ends) > 1
+
+
+def _distinct(ends: Sequence[_End]) -> list[_End]:
+    """Return the best ends that are different optima, the likeliest first."""
+    kept = list[_End]()
+    for end in sorted(ends, key=lambda end: -end.height):
+        if not any(end.same_as(other) for other in kept):
+            kept.append(end)
+    return kept[: SETTINGS.tried]
+
+
+def _climbed(stations: Sequence[Coarse], defocus: Sequence[float], begun: _End) -> _End:
+    """Climb from the end of a climb over other pictures of the stations, or from a start."""
+    poses = begun.poses or (None,) * len(stations)
+    problems = tuple(
+        station.sketch.holding(waves)
+        for station, waves in zip(stations, begun.waves, strict=True)
+    )
     firsts = tuple(
-        settle(problem, state) for problem, state in zip(problems, states, strict=True)
+        settle(problem, station.state(waves, pose))
+        for problem, station, waves, pose in zip(
+            problems, stations, begun.waves, poses, strict=True
+        )
+    )
+    misfit = np.mean(
+        [
+            problem.chi2_per_pixel(first, problem.relative(first))
+            for problem, first in zip(problems, firsts, strict=True)
+        ]
+    )
+    position = _Stations(
+        problems,
+        firsts,
+        firsts,
+        np.array(defocus),
+        _precision(defocus),
+        # far from an optimum misfit counts as noise, or coarse pictures outweigh what is known of defocus
+        1 / max(1.0, float(misfit)),
     )
     end, _, _ = climb(
-        _Stations(problems, firsts, firsts),
-        tolerance=1.0,
+        position,
+        tolerance=SETTINGS.settled_stds,
         max_steps=SETTINGS.strong_steps,
         damping=SETTINGS.first_damping,
     )
-    return tuple(state.waves for state in end.states)
-
-
-def _from_best_focus(
-    sketches: Sequence[Sketches], defocus: Sequence[float], rank: int
-) -> list[State]:
-    """Return a state for each station, without other modes, for the best focus of a rank.
-
-    Misfits of all stations are added. Of best foci nearer than `SETTINGS.near_waves` to each other the likeliest counts.
-    """
-    optics = sketches[0].optics
-    scale = optics.wavelength_um / optics.reference_um
-    beyond, step = (
-        SETTINGS.swept_waves[-1] * scale,
-        SETTINGS.foci_waves * scale,
+    return _End(
+        tuple(state.waves for state in end.states),
+        tuple(one.pose(state) for one, state in zip(stations, end.states, strict=True)),
+        end.log_likelihood,
     )
-    # no focus is on a station: without any defocus all even modes have no slopes
-    foci = np.arange(min(defocus) - beyond, max(defocus) + beyond, step) + step / 3
-    tried = list[tuple[float, float, list[State]]]()
-    firsts = [first_state(s.frame, s.pose, s.noise, len(optics.noll)) for s in sketches]
-    drawings = [s.wide.draw(first) for s, first in zip(sketches, firsts, strict=True)]
-    for focus in foci:
-        lit = [
-            fitted_light(
-                sketch.wide,
-                replace(first, waves=np.append(at - focus, np.zeros(first.waves.size - 1))),
-                drawing,
-            )
-            for sketch, first, drawing, at in zip(
-                sketches, firsts, drawings, defocus, strict=True
-            )
-        ]
-        tried.append(
-            (sum(misfit for misfit, _ in lit), float(focus), [state for _, state in lit])
+
+
+def _precision(defocus: Sequence[float]) -> Floats:
+    """Return the inverse covariance (stations, stations) of defocus: best focus is unknown, steps follow the stated lens."""
+    steps = np.array(defocus) - np.mean(defocus)
+    return np.asarray(
+        np.linalg.inv(
+            SETTINGS.unknown**2
+            + SETTINGS.loose**2 * np.outer(steps, steps)
+            + SETTINGS.other_optimum_waves**2 * np.eye(steps.size)
         )
-    likeliest = list[tuple[float, list[State]]]()
-    for _, focus, states in sorted(tried, key=lambda one: one[0]):
-        if all(abs(focus - other) > SETTINGS.near_waves * scale for other, _ in likeliest):
-            likeliest.append((focus, states))
-    return likeliest[min(rank, len(likeliest) - 1)][1]
+    )
 
 
 @dataclass(eq=False)
@@ -132,11 +197,17 @@ class _Stations(Position):
     problems : the frames and their models
     firsts : where the climb began
     states : the present states, all modes but the first the same
+    expected : (stations,) expected defocus, waves RMS, but for best focus
+    precision : (stations, stations) inverse covariance of defocus about it
+    weight : weight of the frames beside what is known of modes and defocus
     """
 
     problems: tuple[Problem, ...]
     firsts: tuple[State, ...]
     states: tuple[State, ...]
+    expected: Floats
+    precision: Floats
+    weight: float
 
     @cached_property
     def _drawn(self) -> list[Start]:
@@ -150,17 +221,27 @@ class _Stations(Position):
         """The common modes."""
         return self.states[0].waves[1:]
 
+    @property
+    def _off(self) -> Floats:
+        """Defocus less the expected defocus (stations,)."""
+        return np.array([state.waves[0] for state in self.states]) - self.expected
+
     @cached_property
-    def objective(self) -> float:
-        """Log-likelihood of the frames, with the prior of the common modes."""
-        if not all(map(sane, self.states, self.firsts)):
-            return -np.inf
-        fits = (
+    def log_likelihood(self) -> float:
+        """Log-likelihood of the frames."""
+        return sum(
             problem.objective(drawn.state, drawn.relative)
             for problem, drawn in zip(self.problems, self._drawn, strict=True)
         )
+
+    @cached_property
+    def objective(self) -> float:
+        """Weighted log-likelihood of the frames, with the priors of common modes and defocus."""
+        if not all(map(sane, self.states, self.firsts)):
+            return -np.inf
         away = self._modes / SETTINGS.strong_modes_std
-        return sum(fits) - 0.5 * float(away @ away)
+        prior = float(away @ away + self._off @ self.precision @ self._off)
+        return self.weight * self.log_likelihood - 0.5 * prior
 
     @cached_property
     def _slopes(self) -> tuple[Floats, Floats, list[npt.NDArray[np.intp]]]:
@@ -177,12 +258,15 @@ class _Stations(Position):
         for (slope, curvature), end in zip(of_stations, ends, strict=True):
             own = np.arange(end - (slope.size - common), end)
             at = np.concatenate([own[:1], np.arange(common), own[1:]])
-            gradient[at] += slope
-            information[np.ix_(at, at)] += curvature
+            gradient[at] += self.weight * slope
+            information[np.ix_(at, at)] += self.weight * curvature
             places.append(at)
         precision = SETTINGS.strong_modes_std**-2
         gradient[:common] -= precision * self._modes
         information[np.arange(common), np.arange(common)] += precision
+        defocus = np.array([at[0] for at in places])
+        gradient[defocus] -= self.precision @ self._off
+        information[np.ix_(defocus, defocus)] += self.precision
         return gradient, information, places
 
     def step(self, damping: float) -> Step:

@@ -18,7 +18,6 @@ from labkit.estimation.settings import SETTINGS
 from labkit.estimation.split import second_camp
 from labkit.estimation.together import TogetherTask
 from labkit.plan import Plan
-from labkit.types import Floats
 from tests.lens_samples import best_focus
 from tests.optimum_samples import (
     ASTIGMATISM,
@@ -26,6 +25,7 @@ from tests.optimum_samples import (
     POSE,
     RANGES_MM,
     TARGET,
+    Ends,
     Play,
     observations,
     optimum,
@@ -303,18 +303,20 @@ def at_odds(task: Task) -> Found:
     )
 
 
-def climbed(task: TogetherTask, astigmatism: float) -> tuple[Floats, ...]:
-    """The end of a climb with an amount of astigmatism."""
-    return tuple(np.array([at, astigmatism]) for at in task.defocus)
+def ended(task: TogetherTask, *astigmatism: float) -> Ends:
+    """Ends of a common search, each with an amount of astigmatism."""
+    return tuple(
+        tuple(np.array([at, amount]) for at in task.defocus) for amount in astigmatism
+    )
 
 
 def test_ends_that_contradict_each_other_are_searched_with_a_range_between() -> None:
-    play = Play(at_odds, together=partial(climbed, astigmatism=ASTIGMATISM))
+    play = Play(at_odds, together=lambda task: ended(task, ASTIGMATISM, 0.0))
     session = played(play)
-    (climb,) = play.climbs
+    (common,) = play.common
     # the range between is the third of four; defocus is relative to the nearest
     at = [true_values(r)[0] for r in (2900.0, 3100.0, 3200.0)]
-    np.testing.assert_allclose(climb.defocus, np.subtract(at, at[0]), rtol=0.03)
+    np.testing.assert_allclose(common.defocus, np.subtract(at, at[0]), rtol=0.03)
     assert play.labels[1] == ["G at 2900 mm", "G at 3100 mm", "G at 3200 mm"]
     assert play.labels[2] == ["G at 3010 mm"]
     assert all(fit.optimum.verdict.accepted for fit in session.fits)
@@ -322,24 +324,25 @@ def test_ends_that_contradict_each_other_are_searched_with_a_range_between() -> 
 
 
 @pytest.mark.parametrize(
-    ("scatter", "apart", "climbs", "fitted"),
-    [(0.0, STRONG, 1, 1), (STRONG, STRONG, 3, 3), (STRONG, 0.0, 2, 1)],
-    ids=["ranges agree", "other ends", "the same end"],
+    ("scatter", "fitted"), [(0.0, 1), (STRONG, 3)], ids=["ranges agree", "they do not"]
 )
-def test_climbs_over_several_ranges_begin_at_other_foci_until_the_ranges_or_the_ends_agree(
-    scatter: float, apart: float, climbs: int, fitted: int
+def test_ends_of_a_common_search_are_fitted_until_the_ranges_agree(
+    scatter: float, fitted: int
 ) -> None:
     """Where all agree, the model is poor. Where no likelihood rises, the search goes on as before."""
 
-    def wrong(task: TogetherTask) -> tuple[Floats, ...]:
-        first = -STRONG - apart * task.rank
+    def wrong(task: TogetherTask) -> Ends:
         return tuple(
-            np.array([at, first + k * scatter]) for k, at in enumerate(task.defocus)
+            tuple(
+                np.array([at, -STRONG * (1 + end) + k * scatter])
+                for k, at in enumerate(task.defocus)
+            )
+            for end in range(3)
         )
 
     play = Play(at_odds, together=wrong)
     played(play)
-    assert [climb.rank for climb in play.climbs] == list(range(climbs))
+    assert len(play.common) == 1
     strong = ["G at 2900 mm", "G at 3100 mm", "G at 3200 mm"]
     assert play.labels[1 : 1 + fitted] == [strong] * fitted
     assert play.labels[1 + fitted] != strong
