@@ -243,7 +243,7 @@ def is_target_shaped(corners: Floats) -> bool:
 def right_scale(
     corners: Floats, target: Target, mm_per_pixel: float | None, slack: float = 1.3
 ) -> bool:
-    """Whether a target's size agrees with the scale, if that is known."""
+    """Return whether a target's size agrees with the scale, if that is known."""
     if mm_per_pixel is None:
         return True
     ratio = (

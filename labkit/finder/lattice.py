@@ -198,7 +198,7 @@ def _seen(picture: Singles, tile: Target, expected: Floats) -> Floats | None:
 
 
 def _covers(corners: Floats, other: Floats) -> bool:
-    """Whether a target's centre is within another."""
+    """Return whether a target's centre is within another."""
     return bool(
         np.all(
             np.abs(mapped(homography(corners, OWN_CORNERS), other.mean(axis=0)[None])) < 0.5

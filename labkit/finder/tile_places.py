@@ -52,7 +52,7 @@ class Lattice:
         return min(indices), max(indices) - min(indices) + 1
 
     def ends_at(self, axis: int, index: int) -> bool:
-        """Whether a row, or a column, is in the frame and has no target."""
+        """Return whether a row, or a column, is in the frame and has no target."""
         return any(place[axis] == index for place in self.empty)
 
 

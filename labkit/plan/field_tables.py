@@ -165,7 +165,7 @@ class Mount(Table):
 
 
 def _hold_a_plane(screws: tuple[tuple[float, float], ...]) -> bool:
-    """Whether three or four screws determine a plane."""
+    """Return whether three or four screws determine a plane."""
     if len(screws) not in (3, 4) or not all(abs(mm) < 1e4 for at in screws for mm in at):
         return False
     xs, ys = zip(*screws, strict=True)

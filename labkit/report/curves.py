@@ -150,7 +150,7 @@ class Curves:
 
     @property
     def places(self) -> Floats:
-        """Where the points through focus stand."""
+        """Return where the points through focus stand."""
         return np.array([self.place(float(d)) for d in self.strehl.defocus_waves])
 
     def placed(self, defocus: Uncertain, focus_std: float = 0.0) -> Uncertain:
@@ -165,7 +165,7 @@ class Curves:
 
 
 def last_frequency_per_mm(results: Results) -> float:
-    """Where axes of frequency end: at the highest cutoff, or three times Nyquist's frequency."""
+    """Return where axes of frequency end: at the highest cutoff, or three times Nyquist's frequency."""
     return min(
         3 * full_nyquist_per_mm(results.plan.sensor),
         max(w.fitted.cutoff_per_mm for w in results),
