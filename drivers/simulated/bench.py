@@ -334,7 +334,7 @@ class Bench:
         if self._codes.min() != self._codes.max():
             return False
         rows, cols = self.settings.sensor.rows, self.settings.sensor.cols
-        rim = self.settings.halo_um / self.settings.sensor.pitch_um + 1
+        rim = self.view.reach_um() / self.settings.sensor.pitch_um + 1
         x, y = np.array([-rim, cols + rim])[None, :], np.array([-rim, rows + rim])[:, None]
         right, down = self.view.on_panel(x, y)
         high, wide = (

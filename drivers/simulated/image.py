@@ -99,7 +99,7 @@ def fine_grid(
     per_pixel = samples or max(
         settings.samples_per_pixel, int(np.ceil(1.02 * pitch_um / nyquist_um))
     )
-    reach = int(np.ceil((halo_um or settings.halo_um) / pitch_um)) * per_pixel
+    reach = int(np.ceil(view.reach_um(halo_um) / pitch_um)) * per_pixel
     return FineGrid(settings.sensor.rows, settings.sensor.cols, per_pixel, reach)
 
 

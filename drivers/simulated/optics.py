@@ -24,6 +24,9 @@ from labkit.types import Floats, Floats32
 REFERENCE_NM = 450.0
 """Wavelength in whose waves the bench counts optical paths."""
 
+RIM_RAYS = 256
+"""Number of rays from the pupil's rim: 14 to the shortest period of Noll 37."""
+
 
 def noll_to_nm(j: int) -> tuple[int, int]:
     """Return radial order n and azimuthal order m of Noll's mode j; m < 0 for the sine modes.
@@ -70,6 +73,30 @@ def wavefront(waves: Mapping[int, float], u: Floats, v: Floats) -> Floats:
         turn = (u + 1j * v) ** abs(m)
         path += polyval(squared, powers) * (turn.imag if m < 0 else turn.real)
     return path
+
+
+def farthest_ray_um(
+    waves: Mapping[int, float],
+    f_number: float,
+    rim: float = 1.0,
+    reference_nm: float = REFERENCE_NM,
+) -> float:
+    """Return the distance from the PSF's centre, um, of the farthest ray from the pupil's rim: 2 N times the
+    path's slope.
+
+    waves: {Noll mode: waves RMS at reference_nm}; f_number: of the cone at the sensor; rim:
+    radius of the rim over that of the disc on which the modes are defined.
+    """
+    theta = np.linspace(0, 2 * np.pi, RIM_RAYS, endpoint=False)
+    right, down = rim * np.cos(theta), rim * np.sin(theta)
+    step = 1e-4
+
+    def slope(u: float, v: float) -> Floats:
+        ahead = wavefront(waves, right + u, down + v)
+        return (ahead - wavefront(waves, right - u, down - v)) / (2 * step)
+
+    steepest = float(np.max(np.hypot(slope(step, 0.0), slope(0.0, step))))
+    return 2 * f_number * steepest * reference_nm * 1e-3
 
 
 def _radial(j: int) -> tuple[int, Floats]:

@@ -13,6 +13,7 @@ from labkit.drivers.simulated.optics import (
     REFERENCE_NM,
     defocus_waves,
     entrance_pupil_to_target_mm,
+    farthest_ray_um,
     image_per_tangent_mm,
     working_f_number,
 )
@@ -27,6 +28,11 @@ from labkit.types import Floats
 
 MOST_FIELD_WAVES = 3.0
 """Of a mode at the frame's rim: the light of a stronger wavefront leaves the samples around a pixel."""
+
+RAY_REACH = 2.0
+"""Radius up to which diffraction is followed, over the distance of the farthest ray. In sessions of 0.5 and 1 wave RMS in Noll
+5 to 37 a larger radius changes a pixel by up to 0.05 of its noise RMS; radii of 0.8 to 1 ray, by 0.06 to 0.1, left modes up to
+10 standard errors off."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,6 +144,20 @@ class View:
         for j, amount in of_field.items():
             modes[j] = modes.get(j, 0.0) + amount
         return dict(sorted(modes.items()))
+
+    def reach_um(self, halo_um: float | None = None) -> float:
+        """Return the radius up to which diffraction is followed: `halo_um` (None: the settings'), or as far as rays need."""
+        lens = self.settings.lens
+        row, col = self.middle
+        places: tuple[Pair | None, ...] = (None,)
+        if self.settings.varies:
+            places = tuple((i * row, j * col) for i in (0, 1, 2) for j in (0, 1, 2))
+        farthest = max(
+            farthest_ray_um(self.waves(colour, place), cone(lens), self.pupil(place).extent)
+            for colour in lens.wavelength_nm
+            for place in places
+        )
+        return max(halo_um or self.settings.halo_um, RAY_REACH * farthest)
 
     def pupil(self, place: Pair | None = None) -> Pupil:
         """Return the pupil at a place; None: on the axis."""

@@ -266,7 +266,7 @@ class BenchSettings:
     rail: TrueRail = TrueRail()
     pose: TruePose = TruePose()
     halo_um: float = 400.0
-    """Radius up to which diffraction is followed ring by ring; beyond, the mean of rings is used."""
+    """Least radius up to which diffraction is followed ring by ring; beyond, the mean of rings is used."""
     samples_per_pixel: int = 10
     """Least number of samples; a fast lens gets as many as its diffraction needs."""
     grid: TrueGrid = field(default_factory=TrueGrid)

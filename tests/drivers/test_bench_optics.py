@@ -13,6 +13,7 @@ from scipy.special import j0, j1
 from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.optics import (
     defocus_waves,
+    farthest_ray_um,
     halo_beyond,
     noll_to_nm,
     point_spread,
@@ -20,6 +21,7 @@ from labkit.drivers.simulated.optics import (
     zernike,
 )
 from labkit.drivers.simulated.scene import carry
+from labkit.drivers.simulated.view import cone
 from labkit.drivers.simulated.world import BenchSettings, TrueLens, TruePose, TrueRail
 from labkit.types import Floats
 
@@ -47,6 +49,34 @@ def test_defocus_against_range_has_the_published_values(
 ) -> None:
     assert defocus_waves(range_mm, 3000.0, 70.0, 2.8, 0.985) == pytest.approx(
         waves, abs=1e-5
+    )
+
+
+def test_the_farthest_ray_has_the_slope_of_noll_at_the_rim() -> None:
+    # the slope of sqrt(3) (2 r^2 - 1) is 4 sqrt(3) r, that of sqrt(8) (3 r^3 - 2 r) along x 7 sqrt(8) at r = 1
+    for rim in (1.0, 1.1):
+        assert farthest_ray_um({4: 0.5}, 4.0, rim, 500.0) == pytest.approx(
+            2 * 4.0 * 0.5 * 4 * np.sqrt(3) * rim * 0.5, rel=1e-6
+        )
+    assert farthest_ray_um({8: 1.0}, 1.0, 1.0, 1000.0) == pytest.approx(
+        2 * 7 * np.sqrt(8), rel=1e-6
+    )
+
+
+def test_light_is_followed_as_far_as_a_strong_wavefront_throws_it() -> None:
+    settings = replace(BenchSettings(), halo_um=100.0)
+    weak, strong = (
+        Bench(replace(settings, lens=TrueLens(noll=(37,), aberration_waves=waves))).view
+        for waves in (0.05, 1.0)
+    )
+    assert weak.reach_um() == 100.0
+    assert weak.reach_um(150.0) == 150.0
+    # Noll 37, sqrt(9) R(8, 0), has the slope 3 * 40 at the rim
+    waves = strong.waves("G")
+    assert abs(waves[37]) == pytest.approx(1.0)
+    at_rim = 120 * waves[37] + 4 * np.sqrt(3) * waves[4]
+    assert strong.reach_um() == pytest.approx(
+        2 * 2 * cone(strong.settings.lens) * abs(at_rim) * 0.45, rel=0.05
     )
 
 
