@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import html
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 LARGE, SMALL = 1e7, 1e-4  # from here on, and below, a power of ten is taken out
 DIGITS_WITHOUT_ERROR = 6  # of a number that has no error to say how many
@@ -82,25 +80,6 @@ class Uncertain:
             name: x if math.isfinite(x) else None
             for name, x in (("value", self.value), ("std", self.std))
         }
-
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any], unit: str = "") -> Uncertain:
-        """Read a value written by `as_json`, nan for null. Raises ValueError for any other entry."""
-        numbers = (
-            [data.get(name) for name in ("value", "std")]
-            if isinstance(data, Mapping)
-            else [data]
-        )
-        if len(numbers) != 2 or any(
-            isinstance(x, bool) or not isinstance(x, int | float | None) for x in numbers
-        ):
-            raise ValueError(
-                f'{data!r}: a value with its standard error is {{"value": 3024.0, "std": 0.4}}'
-            )
-        value, std = (
-            math.nan if x is None else min(max(x, -math.inf), math.inf) for x in numbers
-        )
-        return cls(value, std, unit)
 
     def _with_unit(self, number: str) -> str:
         return (f"{number} {self.unit}" if self.unit else number) + self._note()

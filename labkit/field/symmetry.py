@@ -16,7 +16,7 @@ cos(m φ - l θ) with m - l of them, cos(m φ + l θ) with m + l.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -61,17 +61,6 @@ def part_matrix(field: Sequence[int], noll: Sequence[int], part: Part) -> Floats
             sign = 1.0 if even else -1.0
             matrix[row, terms.index(other)] = sign * (slow - fast) / 2
     return matrix
-
-
-def part_of(model: FieldModel, part: Part) -> FieldModel:
-    """Return the field with one part of its coefficients alone: the lens without misalignment, or misalignment alone."""
-    own = part_matrix(model.field, model.noll, part)
-    matrix = np.kron(np.eye(len(model.channels)), own)
-    return replace(
-        model,
-        waves=(matrix @ model.waves.ravel()).reshape(model.waves.shape),
-        covariance=matrix @ model.covariance @ matrix.T,
-    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -211,21 +211,6 @@ class Optics:
         """Estimated parts common to all channels of a camera."""
         return tuple(part for part in self.parts if not part.per_channel)
 
-    def sharing(self, other: Optics) -> Optics:
-        """Return these optics with the estimated parts, and the panel, of another channel's or another fit's.
-
-        Parts of a single channel stay unchanged; missing ones are copied only from optics
-        of the same channel.
-        """
-        own = {part.name: part for part in self.parts if part.per_channel}
-        alike = self.wavelength_nm == other.wavelength_nm
-        taken = [
-            own.pop(part.name, part)
-            for part in other.parts
-            if not part.per_channel or part.name in own or alike
-        ]
-        return replace(self, parts=(*taken, *own.values()), panel=other.panel)
-
     def window_airy(self, waves: Floats) -> float:
         """Return the width of the window, lambda N, that a wavefront's PSF needs.
 

@@ -13,9 +13,7 @@ from labkit.estimation.identifiability import bound_of
 from labkit.estimation.likelihood import low_orders
 from labkit.experiments.conditions import NOLL, Trial, draw_trial
 from labkit.experiments.methods.bounds import (
-    DETECTOR,
     bias_sensitivity,
-    detector_information,
     fisher_information,
     uniform_bound,
 )
@@ -107,25 +105,6 @@ def test_fits_err_by_the_bound() -> None:
         scaled.append(error @ np.linalg.solve(bound.covariance[:12, :12], error))
     # a chi-squared of 120 freedoms errs by sqrt(240); allow four of them
     assert abs(sum(scaled) - 120) < 4 * np.sqrt(240)
-
-
-def test_five_detector_numbers_are_one_too_many(trial: Trial) -> None:
-    relative = trial.problem.relative(trial.state(trial.waves))[0]
-    light = np.linspace(0.8, 1.2, relative.size)
-    singular = bound_of(
-        detector_information(
-            relative, light * 0 + 1, np.array([4e5, 2e3, 5e-4, 30.0, 0.8])
-        ),
-        DETECTOR,
-    )
-    (words,) = singular.undetermined
-    assert "ambient light c2" in words
-    assert np.isinf(singular.std[1])
-    fixed = [0, 1, 2, 4]  # black level known
-    known = detector_information(relative, light, np.array([4e5, 2e3, 5e-4, 30.0, 0.8]))[
-        np.ix_(fixed, fixed)
-    ]
-    assert bound_of(known, [DETECTOR[k] for k in fixed]).undetermined == ()
 
 
 def test_a_singular_information_is_told_in_words() -> None:

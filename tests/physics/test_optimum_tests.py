@@ -14,7 +14,6 @@ from labkit.experiments.methods.optimum_tests import (
     one_sided,
     rao_score,
     two_sided,
-    wilson_hilferty,
 )
 from labkit.experiments.methods.psf_basis import (
     find_psf_basis,
@@ -82,14 +81,6 @@ def test_rao_of_a_linear_model_is_the_fall_of_the_misfit() -> None:
     assert rao_score(slopes.T @ data, slopes.T @ slopes) == pytest.approx(
         data @ data - np.sum((data - fitted) ** 2)
     )
-
-
-@pytest.mark.parametrize("degrees", [1, 4, 16])
-def test_wilson_and_hilferty_are_near_the_normal(degrees: int) -> None:
-    for level in (0.05, 0.01):
-        assert wilson_hilferty(float(chi2.isf(level, degrees)), degrees) == pytest.approx(
-            {0.05: 1.645, 0.01: 2.326}[level], abs=0.06
-        )
 
 
 def test_algorithm_4_9_finds_a_direction_that_is_common_to_its_cases(

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from labkit.experiments.methods.smooth_extension import fill, guard_band, roughness
+from labkit.experiments.methods.smooth_extension import fill, roughness
 
 SHAPES = st.sampled_from([(7,), (8,), (5, 6), (6, 6), (3, 4, 5)])
 
@@ -89,19 +89,6 @@ def test_no_other_filling_is_smoother() -> None:
         assert roughness(other)[0] > roughness(filled)[0]
 
 
-def test_a_guard_band_holds_the_picture_in_its_middle_and_joins_its_sides() -> None:
-    picture = np.linspace(0, 1, 40)[:, None] * np.ones(31)
-    torus = guard_band(picture, (64, 45))
-    np.testing.assert_array_equal(torus[12:52, 7:38], picture)
-    steps = np.abs(np.diff(torus, axis=0, append=torus[:1]))
-    # from 1 back to 0 over 25 steps; least squared slope makes them about even, the picture's own are 1/39
-    assert steps.max() < 4 / 25
-
-
-def test_a_constant_goes_on_as_it_is() -> None:
-    np.testing.assert_allclose(guard_band(np.full((9, 8), 0.7), (20, 20)), 0.7, atol=1e-12)
-
-
 def test_one_known_sample_is_enough_and_nothing_unknown_is_no_work() -> None:
     known = np.zeros((32, 32), bool)
     known[3, 4] = True
@@ -134,11 +121,6 @@ def test_one_known_sample_is_enough_and_nothing_unknown_is_no_work() -> None:
             "signal: real numbers are needed .*complex128",
         ),
         (lambda: roughness(np.array([np.inf])), "signal.*not finite"),
-        (
-            lambda: guard_band(np.ones((5, 5)), (4, 9)),
-            r"shape \(4, 9\) \(samples\) cannot hold an image of shape \(5, 5\)",
-        ),
-        (lambda: guard_band(np.ones((5, 5)), (9,)), "cannot hold"),
     ],
 )
 def test_what_cannot_be_extended_is_refused_in_words(

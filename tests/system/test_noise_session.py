@@ -55,7 +55,7 @@ def test_the_simulated_cameras_noise_is_its_own(
         ("gain_counts_per_e", GAIN, 0.01),
         ("read_noise_counts", READ_NOISE, 0.02),
     ):
-        number = Uncertain.from_json(green[name])
+        number = Uncertain(**green[name])
         assert number.value == pytest.approx(truth, rel=share)
         assert abs(number.value - truth) < 4 * number.std
     assert green["quantum_efficiency_percent"] == {"value": None, "std": None}

@@ -15,7 +15,6 @@ from labkit.estimation.likelihood import Detector, FrameData, low_orders, predic
 from labkit.estimation.residuals import judge
 from labkit.experiments.methods.bounds import (
     bias_sensitivity,
-    detector_information,
     uniform_bound,
 )
 from labkit.experiments.methods.optimum_tests import (
@@ -23,10 +22,8 @@ from labkit.experiments.methods.optimum_tests import (
     bootstrap,
     bootstrapped,
     rao_score,
-    wilson_hilferty,
 )
 from labkit.experiments.methods.psf_basis import PsfBasis, shipped_psf_basis
-from labkit.experiments.methods.psf_hessian import psf_hessian
 from labkit.experiments.methods.shaded_aperture import disc_area
 from labkit.experiments.methods.strehl_candidates import (
     highest_on_shell,
@@ -80,7 +77,6 @@ ARRAYS: dict[str, tuple[str, Any, Callable[[Any], object]]] = {
     "smooth_disc": ("offsets", np.arange(-4.0, 5), lambda v: smooth_disc(v, 2.5)),
     "psf": ("waves", np.ones(2), PUPIL.psf),
     "psf_jacobian": ("waves", np.ones(2), PUPIL.psf_jacobian),
-    "psf_hessian": ("waves", np.ones(2), lambda v: list(psf_hessian(PUPIL, v))),
     "pose": ("v", POSE.v, lambda v: Pose(v, (1.0, 1.0))),
     "corners": (
         "corners_px",
@@ -105,21 +101,6 @@ ARRAYS: dict[str, tuple[str, Any, Callable[[Any], object]]] = {
     "state ambients": ("ambients", np.ones(1), lambda v: replace(STATE, ambients=v)),
     "state noise": ("log_noise", np.ones(2), lambda v: replace(STATE, log_noise=v)),
     "bound_of": ("information", np.eye(3), lambda v: bound_of(v, "abc")),
-    "detector relative": (
-        "relative",
-        np.ones(3),
-        lambda v: detector_information(v, np.ones(3), np.ones(5)),
-    ),
-    "detector light": (
-        "light",
-        np.ones(3),
-        lambda v: detector_information(np.ones(3), v, np.ones(5)),
-    ),
-    "detector numbers": (
-        "c",
-        np.ones(5),
-        lambda v: detector_information(np.ones(3), np.ones(3), v),
-    ),
     "uniform_bound": ("covariance", np.eye(3), lambda v: uniform_bound(v, 0, np.ones(1))),
     "uniform_bound norm": (
         "norm",
@@ -250,8 +231,6 @@ def test_a_wrong_array_is_named_with_its_shape_and_unit(case: str, flaw: str) ->
         ),
         (lambda: PsfBasis(np.ones((1, 4, 4))), "an odd side is needed"),
         (lambda: shipped_psf_basis(17), "degrees = 17: 1 to 16"),
-        (lambda: wilson_hilferty(-1.0, 2), "statistic = -1"),
-        (lambda: wilson_hilferty(1.0, 0), "degrees = 0"),
         (lambda: highest_on_shell(np.zeros(12), 0.1), "length of start = 0"),
         (lambda: find_target(np.ones(5), CELLS), r"image has shape \(5,\)"),
         (

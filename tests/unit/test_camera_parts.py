@@ -167,22 +167,6 @@ def test_a_part_of_the_light_goes_before_a_spectrum() -> None:
     )
 
 
-def test_optics_share_parts_but_each_channel_has_its_own_light() -> None:
-    other = replace(
-        OPTICS, parts=(LowPass(0.1, 0.1), WIDTH, Smear(0.1)), panel=Aperture(0.1)
-    )
-    blue, own = replace(OPTICS, wavelength_nm=450.0), SpectrumWidth(1e-4)
-    assert OPTICS.sharing(other) == other  # one channel
-    assert blue.sharing(other).parts == other.shared == (LowPass(0.1, 0.1), Smear(0.1))
-    assert replace(blue, parts=(own,)).sharing(other).parts == (
-        LowPass(0.1, 0.1),
-        own,
-        Smear(0.1),
-    )
-    assert replace(other, wavelength_nm=450.0, parts=(own,)).sharing(OPTICS).parts == (own,)
-    assert blue.sharing(other).panel == Aperture(0.1)
-
-
 def test_the_shape_is_of_parts_then_panel_then_cone() -> None:
     optics = replace(
         OPTICS, parts=(Diffusion(0.1),), panel=Aperture(0.03, -0.02)

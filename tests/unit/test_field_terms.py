@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from labkit.field.surfaces import best_plane, focus_um
-from labkit.field.symmetry import BY_SYMMETRY, part_matrix, part_of, share
+from labkit.field.symmetry import BY_SYMMETRY, Part, part_matrix, share
 from labkit.field.terms import lens_terms
 from labkit.optics.field import FieldModel, field_terms
 from labkit.optics.zernike import zernike
@@ -113,6 +113,12 @@ def turned(model: FieldModel, angle: float) -> Floats:
 def random_field(order: int) -> FieldModel:
     shape = (1, len(field_terms(order)), len(NOLL))
     return a_field(np.random.default_rng(3).normal(size=shape), order=order)
+
+
+def part_of(model: FieldModel, part: Part) -> FieldModel:
+    """A field of one channel with one part of its coefficients alone."""
+    waves = part_matrix(model.field, model.noll, part) @ model.waves.ravel()
+    return replace(model, waves=waves.reshape(model.waves.shape))
 
 
 @pytest.mark.parametrize("order", [2, 4])

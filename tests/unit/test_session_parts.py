@@ -23,7 +23,6 @@ from labkit.imaging.parts import Obstruction, SpectrumWidth
 from labkit.key import Key
 from labkit.plan import Plan
 from labkit.results.model import PartTried
-from labkit.uncertain import Uncertain
 from tests.lens_samples import measured_of, members, stated, with_measured
 from tests.plans import PORTRAIT
 
@@ -113,7 +112,7 @@ def test_what_was_found_is_said() -> None:
     }
     assert isinstance(values, dict)
     assert set(values) == {"spread_px", "rows_px", "columns_px"}
-    assert Uncertain.from_json(values["rows_px"]).value == pytest.approx(0.55)
+    assert values["rows_px"]["value"] == pytest.approx(0.55)
 
 
 def test_a_rim_that_ended_at_its_bound_is_named_once_for_all_fits() -> None:

@@ -1,4 +1,4 @@
-"""Cramér-Rao bounds: of the wavefront, of a detector's parameters, of biased estimates (thesis §3.4, §3.5)."""
+"""Cramér-Rao bounds: of the wavefront and of biased estimates (thesis §3.4, §3.5)."""
 
 import numpy as np
 import scipy.linalg
@@ -90,50 +90,6 @@ def _add(total: Floats, rows: Integers, columns: Integers, block: Floats) -> Non
     """Add an off-diagonal block and its transpose."""
     total[np.ix_(rows, columns)] += block
     total[np.ix_(columns, rows)] += block.T
-
-
-DETECTOR = ("light c1", "ambient light c2", "gain c3", "black level c4", "read noise")
-
-
-def detector_information(relative: Floats, light: Floats, c: Floats) -> Floats:
-    """Return the information of one frame on the five detector parameters of thesis (3.4); the matrix is
-    singular.
-
-    mu = c3 V (c1 u + c2) + c4 and Sigma = c3 (mu - c4) + read_noise^2, with u the relative
-    image and V the illumination.
-
-    Parameters
-    ----------
-    relative : (pixels,), of the target's radiance
-    light : (pixels,), illumination relative to its mean
-    c : (5,), in the order of `DETECTOR`: electrons, electrons, counts per electron, counts,
-        counts
-
-    Returns
-    -------
-    (5, 5)
-
-    Raises
-    ------
-    ValueError
-        for arrays of other shapes, or not finite
-    """
-    relative = real_array("relative", relative, (None,), "of the target's radiance")
-    light = real_array("light", light, relative.shape, "relative")
-    c1, c2, c3, _, read = real_array(
-        "c", c, (len(DETECTOR),), "electrons; counts per electron; counts"
-    )
-    electrons = light * (c1 * relative + c2)
-    zero = np.zeros_like(electrons)
-    one = np.ones_like(electrons)
-    means = np.stack([c3 * light * relative, c3 * light, electrons, one, zero])
-    variances = np.stack(
-        [c3**2 * light * relative, c3**2 * light, 2 * c3 * electrons, zero, 2 * read * one]
-    )
-    variance = c3**2 * electrons + read**2
-    return np.asarray(
-        (means / variance) @ means.T + (variances * 0.5 / variance**2) @ variances.T
-    )
 
 
 def uniform_bound(

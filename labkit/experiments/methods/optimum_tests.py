@@ -135,32 +135,6 @@ def rao_score(gradient: Floats, information: Floats) -> float:
     return float(gradient @ np.linalg.lstsq(scaled, gradient, rcond=1e-12)[0])
 
 
-def wilson_hilferty(statistic: float, degrees: int) -> float:
-    """Return the normal deviate of a chi-squared statistic, by its cube root.
-
-    Parameters
-    ----------
-    statistic : chi-squared, not negative
-    degrees : of freedom
-
-    Raises
-    ------
-    ValueError
-        for a negative statistic, or no degree of freedom
-
-    Notes
-    -----
-    E. Wilson and M. Hilferty, Proc. Natl. Acad. Sci. 17, 684 (1931).
-    """
-    positive("degrees", degrees, "degrees of freedom")
-    if not statistic >= 0:
-        raise ValueError(
-            f"statistic = {statistic:g}: a chi-squared one is not negative (unitless)"
-        )
-    spread = 2 / (9 * degrees)
-    return float(((statistic / degrees) ** (1 / 3) - (1 - spread)) / np.sqrt(spread))
-
-
 def _embedded_score(
     problem: Problem, state: State, kernels: list[Complexes]
 ) -> tuple[Floats, Floats]:

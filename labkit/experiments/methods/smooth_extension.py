@@ -1,4 +1,4 @@
-"""Smooth periodic extension of known samples: guard bands and holes filled with the least bandwidth (thesis 2.28-2.32).
+"""Smooth periodic extension of known samples: holes filled with the least bandwidth (thesis 2.28-2.32).
 
 The measure of smoothness is spectral energy times squared frequency: the integral of the squared gradient of the signal's
 continuous, periodic, band-limited extension.
@@ -112,45 +112,6 @@ def _step_to_smoothest(filled: Floats, unknown: Bools) -> Floats:
             f"the smoothest filling of {count} samples did not converge in {failed} steps"
         )
     return np.asarray(step)
-
-
-def guard_band(image: Floats, shape: tuple[int, ...]) -> Floats:
-    """Extend an image smoothly to a larger torus, with the image in the middle.
-
-    Parameters
-    ----------
-    image : any number of axes, radiance
-    shape : of the torus, samples
-
-    Returns
-    -------
-    (*shape); the image begins at (larger - smaller) // 2 along each axis
-
-    Raises
-    ------
-    ValueError
-        for a shape that cannot hold the image
-
-    Notes
-    -----
-    Thesis Figure 2.8.
-    """
-    image = real_array("image", image, np.shape(image), "radiance")
-    if len(shape) != image.ndim or any(
-        large < small for large, small in zip(shape, image.shape, strict=True)
-    ):
-        raise ValueError(
-            f"shape {shape} (samples) cannot hold an image of shape {image.shape}"
-        )
-    inside = tuple(
-        slice(start := (n - m) // 2, start + m)
-        for n, m in zip(shape, image.shape, strict=True)
-    )
-    torus = np.zeros(shape)
-    known = np.zeros(shape, bool)
-    torus[inside] = image
-    known[inside] = True
-    return fill(torus, known)
 
 
 def _weights(shape: tuple[int, ...]) -> Floats:
