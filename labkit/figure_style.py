@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from io import BytesIO
+from math import floor, log10
 from typing import Any, cast
 
 from matplotlib import rc_context
@@ -135,6 +136,14 @@ def panels(
 def scaling(factor: float) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
     """Return the functions between an axis and a second one with another unit, such as waves in nanometres."""
     return lambda waves: waves * factor, lambda nm: nm / factor
+
+
+def round_length(longest: float) -> float:
+    """Return the greatest of 1, 2, 5 times a power of ten that is not above a length."""
+    if not longest > 0:
+        return 1.0
+    decade = 10.0 ** floor(log10(longest))
+    return float(max(step * decade for step in (1, 2, 5) if step * decade <= longest))
 
 
 def banded(

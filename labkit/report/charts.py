@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -42,8 +42,8 @@ from labkit.report.curves import (
     full_nyquist_per_mm,
 )
 from labkit.report.lens_tables import SOURCES, budget_name, whole_std
-from labkit.report.table import estimated, fixed, millimetres
-from labkit.results import Residuals, Results
+from labkit.report.table import estimated, fixed
+from labkit.results import Results
 from labkit.types import Floats
 from labkit.uncertain import decimals
 
@@ -101,20 +101,25 @@ def zernike_chart(
     return figure
 
 
-def quantile_chart(results: Results, range_mm: float | None) -> Figure:
-    """Draw quantiles of the normalised residuals against normal quantiles, with a 99 % band."""
-    inks = channel_inks(results.channels)
-    figure, axes = chart(THIRD_IN, 2.9)
-    axes.set_title(millimetres(range_mm))
+def quantile_chart(
+    title: str,
+    values: Mapping[str, Floats],
+    inks: Mapping[str, Ink],
+    words: str,
+    size_in: tuple[float, float],
+) -> Figure:
+    """Draw quantiles of numbers in standard errors against normal quantiles, with a 99 % band.
+
+    values: of each channel; words: what the numbers are
+    """
+    figure, axes = chart(*size_in)
+    axes.set_title(title)
     axes.axline((0, 0), slope=1, color=SOFT_INK, lw=0.8)
-    drawn = [
-        (w, w.residuals) for w in results.at_range(range_mm) if w.residuals is not None
-    ]
-    for k, (fit, residuals) in enumerate(drawn):
-        normal, low, high, observed = residual_quantiles(residuals)
+    for k, (channel, every) in enumerate(values.items()):
+        normal, low, high, observed = normal_quantiles(every)
         if k == 0:
             axes.fill_between(normal, low, high, color=FAINT, lw=0)
-        ink = inks[fit.channel]
+        ink = inks[channel]
         axes.plot(
             normal,
             observed,
@@ -123,20 +128,18 @@ def quantile_chart(results: Results, range_mm: float | None) -> Figure:
             mew=0,
             color=ink.colour,
             alpha=0.85,
-            label=fit.channel,
+            label=channel,
         )
-    axes.set(xlabel="normal quantile, σ", ylabel="quantile of the residuals, σ")
+    axes.set(xlabel="normal quantile, σ", ylabel=f"quantile of the {words}, σ")
     axes.legend(loc="upper left", handletextpad=0.2)
     return figure
 
 
-def residual_quantiles(residuals: Residuals) -> tuple[Floats, Floats, Floats, Floats]:
-    """A hundred quantiles, dense in the tails: of the normal law, the 99 % band around them, and of the residuals."""
-    return normal_quantiles(residuals.normalised)
-
-
 def normal_quantiles(values: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Draw values in standard errors; values that are not finite are left out."""
+    """Return a hundred quantiles, dense in the tails: of the normal law, the 99 % band around them, and of the values.
+
+    Values are in standard errors; those that are not finite are left out.
+    """
     values = np.sort(values[np.isfinite(values)])
     tail = np.unique(np.geomspace(1, max((values.size + 1) // 2, 1), 50).astype(int))
     rank = np.unique(np.concatenate([tail, values.size + 1 - tail]))

@@ -61,16 +61,6 @@ SECTIONS = {
     "downloads": "Files",
     "provenance": "Provenance",
 }
-NO_FIELD_TABLES = dict.fromkeys(
-    (
-        "field_table",
-        "limit_table",
-        "places_table",
-        "light_over_table",
-        "tilt_table",
-        "screw_table",
-    )
-)
 OPTIONAL_SECTIONS = {"field", "lens", "budget", "camera", "fits"}
 
 
@@ -112,12 +102,9 @@ def contents(
         "missing": missing_words(results),
         "sources": SOURCES,
         "checks": _checks(whole),
-        "camera_tilt": field.camera_tilt if field else None,
-        "field_coverage": field.coverage if field else "",
-        "field_sign_open": field is not None and field.sign_open,
-        **(field.tables() if field else NO_FIELD_TABLES),
+        **(field.contents() if field else {}),
         "lens_table": lens,
-        "focus_table": focus_table(focused, results.reference_wavelength_nm),
+        "focus_table": focus_table(focused),
         "depth_table": depth_table(curves, results),
         "path_table": path_table(results),
         "bare_path_table": path_table(results, (DEFOCUS,)),

@@ -56,6 +56,11 @@ class ChannelFocus:
         return self.best.fitted
 
     @property
+    def reference_nm(self) -> float:
+        """Wavelength of `fitted`'s waves."""
+        return self.photographed.reference_wavelength_nm
+
+    @property
     def active_um(self) -> float:
         """Width of a pixel's active area."""
         return self.sensor.active_um

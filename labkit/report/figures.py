@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from labkit.figure_style import Ink, channel_inks, styled
+from labkit.figure_style import THIRD_IN, Ink, channel_inks, styled
 from labkit.optics.lens import defocus_waves
 from labkit.report import charts, pictures
 from labkit.report.curves import NEAREST_CURVE, ChannelFocus, Curves
@@ -201,12 +201,14 @@ class Artist:
 
     def quantiles(self) -> Iterator[Plate]:
         """Yield the quantiles of the residuals of each range."""
-        figure = charts.quantile_chart
-        panels = [
-            drawing("residuals", figure(self.results, r), r, bare(r))
-            for r, fits in self._by_range()
-            if any(w.residuals for w in fits)
-        ]
+        panels = []
+        for range_mm, fits in self._by_range():
+            values = {w.channel: w.residuals.normalised for w in fits if w.residuals}
+            if values:
+                figure = charts.quantile_chart(
+                    millimetres(range_mm), values, self.inks, "residuals", (THIRD_IN, 2.9)
+                )
+                panels.append(drawing("residuals", figure, range_mm, bare(range_mm)))
         if panels:
             yield Plate("residuals", panels, across=3)
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from math import isfinite, sqrt
 from operator import attrgetter
 
 import numpy as np
 
 from labkit.optics import metrics
-from labkit.optics.metrics import Directed
 from labkit.optics.mtf import Direction
 from labkit.optics.orders import noll_to_fringe, noll_to_osa
 from labkit.optics.rim import Rim
@@ -23,11 +23,13 @@ from labkit.report.table import (
     RANGE_COLUMN,
     UNKNOWN,
     Column,
+    Quantity,
     Row,
     Table,
     bare,
     by_range,
     channel_columns,
+    compared,
     estimated,
     fixed,
     listed,
@@ -41,98 +43,102 @@ from labkit.uncertain import Uncertain, decimals
 
 PERFECT = "diffraction limit of this pupil"
 NO_LIMIT = "beyond any range"  # of a lens focused so far away that infinity is still sharp
+AT_REFERENCE = "at the reference wavelength"
+CYCLES_PER_MM = "cycles/mm"
 PITCH_NOTE = "by the pixel pitch, which the plan states without an error"
 
-Cell = Callable[[ChannelFocus], str]
 Measure = Callable[[FittedWavefront, tuple[int, ...]], Uncertain]
 Directional = Callable[[ChannelFocus, Direction], Uncertain]
 
 
-def focus_table(focused: Sequence[ChannelFocus], reference_nm: float) -> Table:
+def focus_table(focused: Sequence[ChannelFocus]) -> Table:
     """Strehl ratio, wavefront, MTF and energy of each channel without its defocus."""
-    within = f"EE{100 * SHARE:.0f}, encircled energy"
-    at = "at the reference wavelength"
+    return compared(focused, map(_if_fitted, FOCUS_QUANTITIES), "at best focus")
 
-    def row(name: str, unit: str, cell: Cell, **kind: object) -> Row:
-        holds = name == PERFECT or kind.get("exact") or kind.get("why")
-        cells = tuple(cell(b) if b.fitted.noll or holds else NOT_FITTED for b in focused)
-        return Row((name, unit, *cells), **kind)  # type: ignore[arg-type]
 
-    def directed(name: str, **kind: object) -> tuple[Row, Row]:
-        pair = attrgetter(name)
-        return (
-            row(name.capitalize(), "waves RMS", lambda b: _magnitude(pair(b.best)), **kind),
-            row("at", "degrees", lambda b: _angle(pair(b.best)), beside=True),
-        )
-
-    rows = (
-        row(
-            "From the photographs at",
-            "",
-            lambda b: millimetres(b.photographed.range_mm),
-            exact=True,
-            beside=True,
-        ),
-        row("Strehl ratio", "", lambda b: estimated(b.best.strehl, least=3), first=True),
-        row("RMS", "nm", lambda b: estimated(b.best.rms_nm), first=True),
-        row("in its own light", "waves", _own_waves, beside=True),
-        row(at, "waves", lambda b: estimated(b.best.rms, least=4), beside=True),
-        row("P–V", "nm", lambda b: estimated(b.best.peak_to_valley, reference_nm)),
-        row(at, "waves", lambda b: estimated(b.best.peak_to_valley, least=3), beside=True),
-        *directed("astigmatism", first=True),
-        *directed("coma"),
-        *directed("trefoil"),
-        *_mtf_rows(row),
-        row(within, "µm radius", lambda b: estimated(b.best.energy_radius()), first=True),
-        row(
-            PERFECT,
-            "µm radius",
-            lambda b: _ideal(b.best.ideal.energy_radius()),
-            beside=True,
-        ),
+def _if_fitted(quantity: Quantity) -> Quantity:
+    """Return a quantity that is not there for channels whose defocus alone was fitted, unless no fit is needed for it."""
+    if quantity.name == PERFECT or quantity.exact or quantity.why:
+        return quantity
+    return replace(
+        quantity, number=lambda b: quantity.number(b) if b.fitted.noll else NOT_FITTED
     )
-    return Table((*FOCUS_COLUMNS, *channel_columns([b.channel for b in focused])), rows)
 
 
-def _mtf_rows(row: Callable[..., Row]) -> tuple[Row, ...]:
-    """Return MTF50 and the MTF at Nyquist's frequency, of the optics and with the pixel."""
+def _directed(name: str, *, first: bool = False) -> tuple[Quantity, Quantity]:
+    """Return the magnitude and the angle of a pair of modes."""
+    pair = attrgetter(f"best.{name}")
 
-    def along(
-        name: str, unit: str, cell: Directional, least: int = 0, **kind: object
-    ) -> tuple[Row, Row]:
-        return (
-            row(
-                f"{name} along x",
-                unit,
-                lambda b: estimated(cell(b, "x"), least=least),
-                **kind,
-            ),
-            row("along y", unit, lambda b: estimated(cell(b, "y"), least=least)),
-        )
+    def magnitude(b: ChannelFocus) -> Uncertain | str:
+        return pair(b).magnitude if pair(b) else NOT_FITTED
 
-    def limit(unit: str, number: Callable[[ChannelFocus], Uncertain]) -> Row:
-        return row(PERFECT, unit, lambda b: _ideal(number(b)), beside=True)
+    def angle(b: ChannelFocus) -> Uncertain | str:
+        return pair(b).angle_deg if pair(b) else NOT_FITTED
 
-    per_mm = "cycles/mm"
-    nyquist = "Nyquist of its own pixels"
     return (
-        *along("MTF50 of the optics", per_mm, ChannelFocus.mtf50, first=True),
-        limit(per_mm, lambda b: b.best.ideal.mtf50("x")),
-        *along("MTF50 with the pixel", per_mm, ChannelFocus.camera_mtf50),
-        row(
-            nyquist,
-            per_mm,
-            lambda b: fixed(b.nyquist_per_mm, 1),
-            why=PITCH_NOTE,
-            first=True,
-        ),
-        *along("MTF there, optics", "", ChannelFocus.at_nyquist, least=3),
-        limit("", lambda b: b.best.ideal.mtf_at(b.nyquist_per_mm, "x")),
-        *along("MTF there, with the pixel", "", ChannelFocus.camera_at_nyquist, least=3),
+        Quantity(name.capitalize(), "waves RMS", magnitude, 4, first=first),
+        Quantity("at", "degrees", angle, 1, beside=True),
     )
 
 
-FOCUS_COLUMNS = (Column("at best focus", text=True), Column("", text=True))
+def _along(
+    name: str, unit: str, number: Directional, least: int = 0, *, first: bool = False
+) -> tuple[Quantity, Quantity]:
+    """Return a quantity along x and along y."""
+    return (
+        Quantity(f"{name} along x", unit, lambda b: number(b, "x"), least, first=first),
+        Quantity("along y", unit, lambda b: number(b, "y"), least),
+    )
+
+
+def _ideal(unit: str, number: Callable[[ChannelFocus], Uncertain]) -> Quantity:
+    """Return the number of a perfect lens of this cone, which is as sure as the f-number."""
+
+    def words(b: ChannelFocus) -> str:
+        ideal = number(b)
+        return estimated(ideal, least=3 if ideal.value < 1 else 1)
+
+    return Quantity(PERFECT, unit, words, beside=True)
+
+
+FOCUS_QUANTITIES = (
+    Quantity(
+        "From the photographs at",
+        "",
+        lambda b: millimetres(b.photographed.range_mm),
+        exact=True,
+        beside=True,
+    ),
+    Quantity("Strehl ratio", "", lambda b: b.best.strehl, 3, first=True),
+    Quantity("RMS", "nm", lambda b: b.best.rms_nm, first=True),
+    Quantity("in its own light", "waves", lambda b: b.best.rms_own_waves, 4, beside=True),
+    Quantity(AT_REFERENCE, "waves", lambda b: b.best.rms, 4, beside=True),
+    Quantity("P–V", "nm", lambda b: estimated(b.best.peak_to_valley, b.reference_nm)),
+    Quantity(AT_REFERENCE, "waves", lambda b: b.best.peak_to_valley, 3, beside=True),
+    *_directed("astigmatism", first=True),
+    *_directed("coma"),
+    *_directed("trefoil"),
+    *_along("MTF50 of the optics", CYCLES_PER_MM, ChannelFocus.mtf50, first=True),
+    _ideal(CYCLES_PER_MM, lambda b: b.best.ideal.mtf50("x")),
+    *_along("MTF50 with the pixel", CYCLES_PER_MM, ChannelFocus.camera_mtf50),
+    Quantity(
+        "Nyquist of its own pixels",
+        CYCLES_PER_MM,
+        lambda b: fixed(b.nyquist_per_mm, 1),
+        why=PITCH_NOTE,
+        first=True,
+    ),
+    *_along("MTF there, optics", "", ChannelFocus.at_nyquist, 3),
+    _ideal("", lambda b: b.best.ideal.mtf_at(b.nyquist_per_mm, "x")),
+    *_along("MTF there, with the pixel", "", ChannelFocus.camera_at_nyquist, 3),
+    Quantity(
+        f"EE{100 * SHARE:.0f}, encircled energy",
+        "µm radius",
+        lambda b: b.best.energy_radius(),
+        first=True,
+    ),
+    _ideal("µm radius", lambda b: b.best.ideal.energy_radius()),
+)
 
 
 def depth_table(curves: Sequence[Curves], results: Results) -> Table:
@@ -140,42 +146,27 @@ def depth_table(curves: Sequence[Curves], results: Results) -> Table:
     errors = results.focus.best_focus_mm if results.focus else {}
     unit = "mm" if all(c.in_ranges for c in curves) else "µm"
 
-    def row(name: str, unit: str, cell: Callable[[Curves], str], **kind: object) -> Row:
-        return Row((name, unit, *(cell(c) for c in curves)), **kind)  # type: ignore[arg-type]
+    def best(curve: Curves) -> Uncertain | str:
+        return errors[curve.channel] if curve.in_ranges else "origin"
 
-    def at(curve: Curves, which: str) -> str:
-        if curve.depth is None:
-            return NO_LIMIT
-        focus_std = errors[curve.channel].std if curve.in_ranges else 0.0
-        return _place(curve.placed(getattr(curve.depth, which), focus_std))
+    def at(which: str) -> Callable[[Curves], Uncertain | str]:
+        def place(curve: Curves) -> Uncertain | str:
+            if curve.depth is None:
+                return NO_LIMIT
+            focus_std = errors[curve.channel].std if curve.in_ranges else 0.0
+            found = curve.placed(getattr(curve.depth, which), focus_std)
+            return found if isfinite(found.value) else NO_LIMIT
 
-    rows = (
-        row("Best focus: no defocus", unit, lambda c: _best(c, errors)),
-        row("Highest Strehl ratio at", unit, lambda c: at(c, "highest"), beside=True),
-        row("Depth of focus from", unit, lambda c: at(c, "near"), first=True),
-        row("to", unit, lambda c: at(c, "far")),
-        row("on the sensor", "µm", _on_sensor),
+        return place
+
+    quantities = (
+        Quantity("Best focus: no defocus", unit, best),
+        Quantity("Highest Strehl ratio at", unit, at("highest"), beside=True),
+        Quantity("Depth of focus from", unit, at("near"), first=True),
+        Quantity("to", unit, at("far")),
+        Quantity("on the sensor", "µm", _on_sensor),
     )
-    return Table(
-        (
-            Column(f"Strehl ratio ≥ {DEPTH:g} of its highest", text=True),
-            Column("", text=True),
-            *_channels(curves),
-        ),
-        rows,
-    )
-
-
-def _channels(curves: Sequence[Curves]) -> list[Column]:
-    return list(channel_columns([c.channel for c in curves]))
-
-
-def _best(curve: Curves, errors: dict[str, Uncertain]) -> str:
-    return estimated(errors[curve.channel]) if curve.in_ranges else "origin"
-
-
-def _place(place: Uncertain) -> str:
-    return estimated(place) if isfinite(place.value) else NO_LIMIT
+    return compared(curves, quantities, f"Strehl ratio ≥ {DEPTH:g} of its highest")
 
 
 def _on_sensor(curve: Curves) -> str:
@@ -187,23 +178,6 @@ def _on_sensor(curve: Curves) -> str:
     factor = sensor_shift_um(fitted, 1.0)
     cone = 2 * fitted.f_number_relative_std * span.value
     return estimated(Uncertain(span.value, (span.std**2 + cone**2) ** 0.5), factor)
-
-
-def _own_waves(of: ChannelFocus) -> str:
-    return estimated(of.best.rms_own_waves, least=4)
-
-
-def _ideal(number: Uncertain) -> str:
-    """A perfect lens of this cone: its number is as sure as the f-number."""
-    return estimated(number, least=3 if number.value < 1 else 1)
-
-
-def _magnitude(pair: Directed | None) -> str:
-    return NOT_FITTED if pair is None else estimated(pair.magnitude, least=4)
-
-
-def _angle(pair: Directed | None) -> str:
-    return NOT_FITTED if pair is None else estimated(pair.angle_deg, least=1)
 
 
 SOURCES = {

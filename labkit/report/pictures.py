@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from io import BytesIO
-from math import ceil, floor, log10
+from math import ceil
 from re import sub
 from typing import Any
 
@@ -19,7 +19,7 @@ from matplotlib.patches import Circle
 from numpy.typing import NDArray
 from PIL import Image
 
-from labkit.figure_style import HALF_IN, INK, THIRD_IN, Ink, png, scaling, svg
+from labkit.figure_style import HALF_IN, INK, THIRD_IN, Ink, png, round_length, scaling, svg
 from labkit.optics.lens import blur_per_wave_um
 from labkit.optics.metrics import opd_map, psf_value
 from labkit.optics.wavefront import FittedWavefront
@@ -242,9 +242,7 @@ def _psf(axes: Axes, w: FittedWavefront, half_width_um: float, ink: Ink) -> None
 
 
 def _scale_bar(axes: Axes, half_width_um: float) -> None:
-    wanted = 0.7 * half_width_um
-    decade = 10.0 ** floor(log10(wanted))
-    length = max(step * decade for step in (1, 2, 5) if step * decade <= wanted)
+    length = round_length(0.7 * half_width_um)
     left, y = -0.92 * half_width_um, 0.88 * half_width_um
     axes.plot([left, left + length], [y, y], color=INK, lw=2, solid_capstyle="butt")
     axes.text(left, y - 0.05 * half_width_um, f"{length:g} µm", fontsize=8, va="bottom")
@@ -263,21 +261,11 @@ def place_picture(results: Results, photographs: Photographs) -> Figure | None:
     axes = figure.add_axes(
         (0.1 / HALF_IN, 0.1 / (height + 0.2), 1 - 0.2 / HALF_IN, height / (height + 0.2))
     )
-    axes.set(
-        xticks=[],
-        yticks=[],
-        xlim=(-0.5, cols - 0.5),
-        ylim=(rows - 0.5, -0.5),
-        aspect="equal",
-        anchor="W",
-    )
+    axes.set(xticks=[], yticks=[], aspect="equal", anchor="W")
     axes.grid(False)
     for spine in axes.spines.values():
         spine.set(visible=True)
-    if photographs.preview is not None:
-        shown, block = photographs.preview, photographs.preview_px
-        edges = (-0.5, shown.shape[1] * block - 0.5, shown.shape[0] * block - 0.5, -0.5)
-        axes.imshow(shown, cmap="gray", vmin=-0.25, vmax=1.25, extent=edges)
+    show_frame(axes, (rows, cols), photographs, -0.25, 1.25)
     axes.plot([(cols - 1) / 2], [(rows - 1) / 2], "+", color="#e69f00", ms=9, mew=1)
     ranges = sorted({r for r, _ in placed if r is not None})
     for range_mm, placement in reversed(placed):
@@ -292,6 +280,26 @@ def place_picture(results: Results, photographs: Photographs) -> Figure | None:
             outline[:, 1], outline[:, 0], color=colour, lw=1.1, label=millimetres(range_mm)
         )
     return figure
+
+
+def show_frame(
+    axes: Axes,
+    shape_px: tuple[int, int],
+    photographs: Photographs,
+    black: float,
+    white: float,
+) -> None:
+    """Set the limits of axes to a frame's pixels, and show its photograph where one is at hand.
+
+    black, white: the shares of white that are drawn black and white
+    """
+    rows, columns = shape_px
+    axes.set(xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5))
+    if photographs.preview is None:
+        return
+    shown, block = photographs.preview, photographs.preview_px
+    edges = (-0.5, shown.shape[1] * block - 0.5, shown.shape[0] * block - 0.5, -0.5)
+    axes.imshow(shown, cmap="gray", vmin=black, vmax=white, extent=edges)
 
 
 def chip_image(

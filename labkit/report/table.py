@@ -191,6 +191,43 @@ def listed(
 
 
 @dataclass(frozen=True, slots=True)
+class Quantity:
+    """A row of a table that compares channels.
+
+    number: of an item of `compared`, or words in its place; least: fewest decimal places of a number; why, exact, first and
+    beside: as of a `Row`
+    """
+
+    name: str
+    unit: str
+    number: Callable[[Any], Uncertain | str]
+    least: int = 0
+    why: str = ""
+    exact: bool = False
+    first: bool = False
+    beside: bool = False
+
+    def cell(self, item: Any) -> str:
+        """Return the text of an item's number."""
+        number = self.number(item)
+        return number if isinstance(number, str) else estimated(number, least=self.least)
+
+
+def compared(items: Sequence[Any], quantities: Iterable[Quantity], head: str = "") -> Table:
+    """Return a table with a column for each item, which has a channel, and a row for each quantity."""
+    columns = (
+        Column(head, text=True),
+        Column("", text=True),
+        *channel_columns([item.channel for item in items]),
+    )
+    rows = [
+        Row((q.name, q.unit, *map(q.cell, items)), q.why, q.exact, q.first, q.beside)
+        for q in quantities
+    ]
+    return Table(columns, tuple(rows))
+
+
+@dataclass(frozen=True, slots=True)
 class Number:
     """A value and its error as they are printed, the error with its sign."""
 

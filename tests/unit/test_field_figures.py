@@ -9,7 +9,7 @@ from labkit.field.flats import illumination
 from labkit.field.places import line_end_mm
 from labkit.field.surfaces import ASTIGMATISM, focus_um
 from labkit.field.terms import lens_terms
-from labkit.figure_style import channel_inks, styled
+from labkit.figure_style import channel_inks, round_length, styled
 from labkit.optics.mtf import mtf
 from labkit.photographs.photograph import Photograph
 from labkit.report.field.maps import covering, even_levels, map_chart
@@ -21,7 +21,6 @@ from labkit.report.field.shapes import (
     along_lines,
     coma_chart,
     ellipses,
-    round_length,
     stamps_of,
 )
 from labkit.types import Floats

@@ -93,7 +93,7 @@ def test_mtf_at_the_planes_own_nyquist_is_the_closed_form_with_and_without_the_p
     assert best.camera_at_nyquist("y").value == pytest.approx(
         perfect * np.sin(np.pi / 4) / (np.pi / 4), rel=1e-9
     )
-    cells = {row.cells[0]: row.cells[2] for row in focus_table([best], 450.0).rows}
+    cells = {row.cells[0]: row.cells[2] for row in focus_table([best]).rows}
     assert cells["Nyquist of its own pixels"] == "52.3"
     assert cells["Coma"] == "not fitted"
 

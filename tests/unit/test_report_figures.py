@@ -9,7 +9,7 @@ from PIL import Image
 from scipy import special
 
 from labkit.figure_style import CHANNEL_INKS, channel_inks
-from labkit.report.charts import residual_quantiles
+from labkit.report.charts import normal_quantiles
 from labkit.report.pictures import chip_image
 from labkit.report.table import estimated, fixed, plus_minus, when
 from labkit.results import Residuals
@@ -18,9 +18,8 @@ from labkit.results import Residuals
 def test_quantiles_of_normal_residuals_keep_to_their_band() -> None:
     rng = np.random.default_rng(3)
     model, sigma = np.full((1, 1, 100, 100), 500.0), np.full((1, 1, 100, 100), 7.0)
-    normal, low, high, observed = residual_quantiles(
-        Residuals(rng.normal(model, sigma), model, sigma)
-    )
+    residuals = Residuals(rng.normal(model, sigma), model, sigma)
+    normal, low, high, observed = normal_quantiles(residuals.normalised)
     assert np.all((low < normal) & (normal < high))
     # neighbouring order statistics go together, so a stray one takes some with it: allow 5 % for 1 %
     assert np.mean((observed < low) | (observed > high)) <= 0.05
@@ -30,7 +29,7 @@ def test_quantiles_of_normal_residuals_keep_to_their_band() -> None:
 def test_masked_pixels_leave_the_quantiles() -> None:
     model = np.ones((1, 1, 2, 2))
     data = np.array([[[[1.5, np.nan], [0.5, 1.0]]]])
-    *_, observed = residual_quantiles(Residuals(data, model, model))
+    *_, observed = normal_quantiles(Residuals(data, model, model).normalised)
     assert observed.tolist() == [-0.5, 0.0, 0.5]
 
 

@@ -10,10 +10,10 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from labkit.field.geometry import FieldGeometry
-from labkit.figure_style import DASHED, HALF_IN, INK, SOFT_INK, Ink
+from labkit.figure_style import DASHED, HALF_IN, INK, SOFT_INK, Ink, round_length
 from labkit.report.field.maps import frame_axes
 from labkit.report.field.sampled import Grid
-from labkit.report.field.shapes import LONGEST_ARROW, arrow, bar, ellipses, round_length
+from labkit.report.field.shapes import LONGEST_ARROW, arrows, bar, ellipses
 from labkit.types import Floats
 
 GRID_LINES, FINE_STEPS = 8, 5
@@ -98,13 +98,9 @@ def lateral_chart(
     title = f"{channel}  lateral colour against {reference}"
     figure, axes = frame_axes(grid.frame, HALF_IN, title=title, below_in=0.62)
     mm_per_um = LONGEST_ARROW * grid.step_mm / (longest or 1.0)
-    start = grid.each_mm[:, ::-1]
-    tips = start + mm_per_um * shift[:, ::-1]
-    for at, tip in zip(start, tips, strict=True):
-        arrow(axes, at, tip, ink.colour)
-    rings = tips[:, np.newaxis] + mm_per_um * ellipses(covariance)[..., ::-1]
-    axes.add_collection(LineCollection(list(rings), colors=SOFT_INK, linewidths=0.7))
-    axes.plot(*start.T, ".", color=INK, ms=1.6)
+    shifts = mm_per_um * shift[:, ::-1]
+    rings = mm_per_um * ellipses(covariance)[..., ::-1]
+    arrows(axes, grid.each_mm[:, ::-1], shifts, rings, ink.colour)
     length_um = round_length(longest)
     pixels = length_um / grid.frame.pixel_pitch_um
     bar(figure, axes, length_um * mm_per_um, f"{length_um:g} µm, {pixels:.2g} pixels")

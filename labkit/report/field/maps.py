@@ -126,7 +126,8 @@ def map_chart(
         axes.plot(tiles_mm[:, 1], tiles_mm[:, 0], **dots(len(tiles_mm)))
     if towards is not None and isfinite(towards.value):
         _direction(axes, towards, TILT_ARROW * min(half_sides_mm(grid.frame)))
-    _colour_bar(figure, filled, unit)
+    scale = colour_bar(figure, filled, unit)
+    scale.xaxis.set_major_locator(MaxNLocator(5))
     return figure
 
 
@@ -153,11 +154,12 @@ def dots(count: int) -> dict[str, Any]:
     }
 
 
-def _colour_bar(figure: Figure, filled: Any, unit: str) -> None:
+def colour_bar(figure: Figure, shown: Any, unit: str, width: float = 0.6) -> Axes:
+    """Draw the scale of a map below it, and return its axes. width: of the figure's."""
     height_in = figure.get_size_inches()[1]
-    at = (0.16, 0.3 / height_in, 0.6, 0.08 / height_in)
-    bar = figure.colorbar(filled, cax=figure.add_axes(at), orientation="horizontal")
+    at = (0.16, 0.3 / height_in, width, 0.08 / height_in)
+    bar = figure.colorbar(shown, cax=figure.add_axes(at), orientation="horizontal")
     bar.ax.tick_params(labelsize=7, pad=1, length=2)
-    bar.ax.xaxis.set_major_locator(MaxNLocator(5))
     bar.ax.text(1.05, 0.5, unit, va="center", fontsize=7.5, transform=bar.ax.transAxes)
     bar.ax.grid(False)
+    return bar.ax

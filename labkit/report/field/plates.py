@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from labkit.field.curves import Profile, profiles, usable_frequencies
 from labkit.field.flats import session_illumination
@@ -27,6 +28,7 @@ from labkit.field.turned import planned_screws
 from labkit.figure_style import HALF_IN, Ink
 from labkit.optics.field import FieldModel
 from labkit.plan import leading_channel
+from labkit.report.charts import quantile_chart
 from labkit.report.field.cards import field_cards
 from labkit.report.field.files import Rows, field_files
 from labkit.report.field.geometry_charts import (
@@ -76,16 +78,14 @@ from labkit.report.field.tile_charts import (
     fit_quality_chart,
     held_out_map,
     held_out_pulls,
-    place_pulls_chart,
+    place_pulls,
     place_pulls_map,
-    pulls_chart,
     tile_sight,
     tiles_chart,
 )
 from labkit.report.photographs import Photographs
 from labkit.report.pictures import Panel, Plate, drawing, picture
-from labkit.report.table import Card, Table, millimetres
-from labkit.report.tiles import mean_place_px
+from labkit.report.table import Card, millimetres
 from labkit.results import Results, Wavefront
 from labkit.types import Floats
 
@@ -139,8 +139,8 @@ class FieldArtist:
         """The shares of the frame between the tiles' outermost edges, in words."""
         return coverage(covered(self.results, self.model))
 
-    def tables(self) -> dict[str, Table | None]:
-        """Return the tables of the field by their names in the template; None for one without rows."""
+    def contents(self) -> dict[str, Any]:
+        """Return the values of templates/field.html.j2; None for a table without rows."""
         geometry, plan = self.geometry, self.results.plan
         others = {} if geometry is None else corner_numbers(geometry)
         limits = judge_limits(plan.limits, self.model, self.lead, others)
@@ -148,6 +148,9 @@ class FieldArtist:
         screws = planned_screws(plan) if told else None
         camera = self.camera_tilt
         return {
+            "camera_tilt": camera,
+            "field_coverage": self.coverage,
+            "field_sign_open": self.sign_open,
             "field_table": field_table(self.terms),
             "limit_table": limit_table(limits) if limits else None,
             "light_over_table": light_table(self.illumination),
@@ -163,8 +166,7 @@ class FieldArtist:
     @cached_property
     def tiles_mm(self) -> Floats:
         """(n, 2) y and x of the tiles of the shown photograph."""
-        fits = self.sight.fits.values()
-        return self.model.frame.heights_mm([mean_place_px([fit]) for fit in fits])
+        return self.model.frame.heights_mm(self.sight.places_px)
 
     @cached_property
     def sight(self) -> TileSight:
@@ -200,11 +202,21 @@ class FieldArtist:
             for channel in self.model.channels
         }
 
-    def _pairs(self, channel: str) -> Iterator[tuple[str, tuple[Profile, ...]]]:
-        """Yield the name of each line, and its profiles of a channel."""
+    def _along_lines(
+        self,
+        kind: str,
+        channel: str,
+        draw: Callable[[tuple[Profile, ...]], Figure],
+        **of: object,
+    ) -> Plate:
+        """Return a plate of a channel's profiles, a panel for each line."""
+        panels = []
         for azimuth, words in lines_of(self.model.frame).items():
-            of = self.profiles[channel]
-            yield words, tuple(p for p in of if p.azimuth_deg == azimuth)
+            pair = tuple(p for p in self.profiles[channel] if p.azimuth_deg == azimuth)
+            key = f"{channel}_{file_key(words)}"
+            of_line = {"channel": channel, "line": words, **of}
+            panels.append(drawing(kind, draw(pair), of_line, key))
+        return Plate(f"{kind}s", panels)
 
     def focus(self) -> Iterator[Plate]:
         """Yield the focal surfaces: maps of each channel, profiles of the leading one."""
@@ -243,13 +255,7 @@ class FieldArtist:
         chart = map_chart(
             self.grid, value, title, "µm", levels, tiles_mm=self.tiles_mm, **settings
         )
-        of = {
-            "channel": channel,
-            "what": words,
-            "low": float(value.min()),
-            "high": float(value.max()),
-            "std": float(std.max()),
-        }
+        of = _extremes(channel, value, std, what=words)
         return picture("field_map", chart, of, f"{key}_{channel}")
 
     def _after_plane(self, std: Floats) -> Plate:
@@ -269,15 +275,11 @@ class FieldArtist:
         return Plate("field_flat", panels, across=3)
 
     def _surfaces(self, channel: str) -> Plate:
-        every = [p for of in self.profiles.values() for p in of]
-        limits = limits_um(every)
-        panels = []
-        for words, pair in self._pairs(channel):
-            figure = surfaces_chart(pair, self.model.frame, self.inks[channel], limits)
-            of = {"channel": channel, "line": words}
-            key = f"{channel}_{file_key(words)}"
-            panels.append(drawing("field_surface", figure, of, key))
-        return Plate("field_surfaces", panels)
+        limits = limits_um([p for of in self.profiles.values() for p in of])
+        frame, ink = self.model.frame, self.inks[channel]
+        return self._along_lines(
+            "field_surface", channel, lambda pair: surfaces_chart(pair, frame, ink, limits)
+        )
 
     def contrast(self) -> Iterator[Plate]:
         """Yield MTF over the frame, against height and through focus, and PSFs, of the leading channel."""
@@ -307,13 +309,13 @@ class FieldArtist:
         )
 
     def _heights(self, channel: str) -> Plate:
-        panels = []
-        for words, pair in self._pairs(channel):
-            figure = height_chart(pair, self.model.frame, self.inks[channel])
-            of = {"channel": channel, "line": words, "per_mm": self.per_mm.tolist()}
-            key = f"{channel}_{file_key(words)}"
-            panels.append(drawing("field_height", figure, of, key))
-        return Plate("field_heights", panels)
+        frame, ink = self.model.frame, self.inks[channel]
+        return self._along_lines(
+            "field_height",
+            channel,
+            lambda pair: height_chart(pair, frame, ink),
+            per_mm=self.per_mm.tolist(),
+        )
 
     def _mtf_maps(self, channel: str) -> Plate:
         grid = Grid.edge_to_edge(self.model.frame, MTF_STEPS)
@@ -328,14 +330,8 @@ class FieldArtist:
             figure = map_chart(
                 grid, value, title, "", levels, signed=False, width_in=HALF_IN
             )
-            of = {
-                "channel": channel,
-                "direction": direction,
-                "per_mm": self.highest_per_mm,
-                "low": float(value.min()),
-                "high": float(value.max()),
-                "std": float(std.max()),
-            }
+            per_mm = self.highest_per_mm
+            of = _extremes(channel, value, std, direction=direction, per_mm=per_mm)
             key = f"{channel}_{direction}"
             panels.append(picture("field_mtf_map", figure, of, key))
         return Plate("field_mtf_maps", panels)
@@ -398,31 +394,25 @@ class FieldArtist:
         for channel, (value, std) in maps.items():
             title = f"{channel}  relative illumination"
             figure = map_chart(self.grid, value, title, "%", levels, signed=False)
-            of = {
-                "channel": channel,
-                "low": float(value.min()),
-                "high": float(value.max()),
-                "std": float(std.max()),
-            }
+            of = _extremes(channel, value, std)
             panels.append(picture("field_light", figure, of, channel))
         yield Plate("field_light", panels, across=3)
 
     def tiles(self, photographs: Photographs) -> Iterator[Plate]:
         """Yield where the tiles were, and how well the model describes them."""
         frame, sight = self.model.frame, self.sight
-        fits = list(sight.fits.values())
-        if not fits:
+        if not sight.fits:
             return
         title = f"{self.nearest.channel}  {millimetres(sight.range_mm)}"
         of = {"sight": sight, "channel": self.nearest.channel}
         panels = [
             picture("field_tiles", tiles_chart(frame, sight, photographs), of),
-            drawing("field_chi2", fit_quality_chart(frame, fits, title), of),
+            drawing("field_chi2", fit_quality_chart(frame, sight, title), of),
         ]
         yield Plate("field_tiles", panels)
         if pulls := held_out_pulls(self.results):
             rms = float(np.sqrt(np.mean(np.concatenate([*pulls.values()]) ** 2)))
-            quantiles = pulls_chart("tiles held out", pulls, self.inks)
+            quantiles = self._quantiles("tiles held out", pulls)
             over_frame = held_out_map(self.results, frame, sight)
             yield Plate(
                 "field_held_out",
@@ -432,7 +422,7 @@ class FieldArtist:
                 ],
             )
         if (geometry := self.geometry) is not None:
-            quantiles = place_pulls_chart(geometry, self.inks)
+            quantiles = self._quantiles("places of the tiles", place_pulls(geometry))
             over_frame = place_pulls_map(geometry, sight)
             outliers = {"geometry": geometry}
             yield Plate(
@@ -443,6 +433,9 @@ class FieldArtist:
                 ],
             )
 
+    def _quantiles(self, title: str, pulls: dict[str, Floats]) -> Figure:
+        return quantile_chart(title, pulls, self.inks, "pulls", (HALF_IN, 3.2))
+
     def others(self) -> Iterator[Plate]:
         """Yield the same plates of the other channels."""
         for channel in self.model.channels:
@@ -450,3 +443,16 @@ class FieldArtist:
                 yield self._surfaces(channel)
                 yield from self._contrast(channel)
                 yield self._shapes(channel)
+
+
+def _extremes(
+    channel: str, value: Floats, std: Floats, **more: object
+) -> dict[str, object]:
+    """Return the least and greatest number of a channel's map, and its greatest error, for the map's text."""
+    return {
+        "channel": channel,
+        "low": float(value.min()),
+        "high": float(value.max()),
+        "std": float(std.max()),
+        **more,
+    }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import ceil, floor, log10
+from math import ceil
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from labkit.field.surfaces import focus_um
-from labkit.figure_style import HALF_IN, INK, SOFT_INK, Ink
+from labkit.figure_style import HALF_IN, INK, SOFT_INK, Ink, round_length
 from labkit.optics.field import FieldModel
 from labkit.optics.metrics import psf_value
 from labkit.report.field.maps import frame_axes
@@ -61,14 +61,6 @@ def longest_waves(model: FieldModel, pair: tuple[int, int]) -> float:
     return float(np.hypot(*np.concatenate(every).T).max())
 
 
-def round_length(longest: float) -> float:
-    """Return the greatest of 1, 2, 5 times a power of ten that is not above a length."""
-    if not longest > 0:
-        return 1.0
-    decade = 10.0 ** floor(log10(longest))
-    return float(max(step * decade for step in (1, 2, 5) if step * decade <= longest))
-
-
 def coma_chart(shapes: Shapes, ink: Ink, longest: float) -> Figure:
     """Draw coma as arrows, from the middle of a place, with ellipses of one standard error at their tips.
 
@@ -76,12 +68,8 @@ def coma_chart(shapes: Shapes, ink: Ink, longest: float) -> Figure:
     """
     figure, axes, per_wave = _shapes_axes(shapes, "coma", longest)
     start = shapes.grid.each_mm[:, ::-1]
-    tips = start + per_wave * shapes.waves
-    for at, tip in zip(start, tips, strict=True):
-        arrow(axes, at, tip, ink.colour)
-    rings = tips[:, None] + per_wave * ellipses(shapes.covariance)
-    axes.add_collection(LineCollection(list(rings), colors=SOFT_INK, linewidths=0.7))
-    axes.plot(*start.T, ".", color=INK, ms=1.6)
+    rings = per_wave * ellipses(shapes.covariance)
+    arrows(axes, start, per_wave * shapes.waves, rings, ink.colour)
     _scale(figure, axes, longest, per_wave)
     return figure
 
@@ -126,19 +114,24 @@ def _shapes_axes(shapes: Shapes, words: str, longest: float) -> tuple[Figure, Ax
     return figure, axes, LONGEST_ARROW * shapes.grid.step_mm / (longest or 1.0)
 
 
-def arrow(axes: Axes, start: Floats, tip: Floats, colour: str) -> None:
-    axes.annotate(
-        "",
-        tuple(tip),
-        tuple(start),
-        arrowprops={
-            "arrowstyle": "-|>,head_length=0.28,head_width=0.14",
-            "color": colour,
-            "lw": 1.3,
-            "shrinkA": 0,
-            "shrinkB": 0,
-        },
-    )
+def arrows(axes: Axes, start: Floats, shifts: Floats, rings: Floats, colour: str) -> None:
+    """Draw arrows from places, with closed curves about their tips.
+
+    start, shifts: (n, 2), x and y, mm on the frame; rings: (n, points, 2), about the tips
+    """
+    style = {
+        "arrowstyle": "-|>,head_length=0.28,head_width=0.14",
+        "color": colour,
+        "lw": 1.3,
+        "shrinkA": 0,
+        "shrinkB": 0,
+    }
+    tips = start + shifts
+    for at, tip in zip(start, tips, strict=True):
+        axes.annotate("", tuple(tip), tuple(at), arrowprops=style)
+    around = list(tips[:, np.newaxis] + rings)
+    axes.add_collection(LineCollection(around, colors=SOFT_INK, linewidths=0.7))
+    axes.plot(*start.T, ".", color=INK, ms=1.6)
 
 
 def _scale(figure: Figure, axes: Axes, longest_waves: float, mm_per_wave: float) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,13 +11,13 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from labkit.field.geometry import FieldGeometry
-from labkit.figure_style import FAINT, HALF_IN, INK, SOFT_INK, Ink, chart
+from labkit.figure_style import HALF_IN, INK
 from labkit.findings import Finding
 from labkit.key import Tile, same_range
 from labkit.optics.field import FieldFrame
-from labkit.report.charts import normal_quantiles
-from labkit.report.field.maps import SEQUENTIAL, even_levels, frame_axes
+from labkit.report.field.maps import SEQUENTIAL, colour_bar, even_levels, frame_axes
 from labkit.report.photographs import Photographs
+from labkit.report.pictures import show_frame
 from labkit.report.tiles import mean_place_px
 from labkit.results import Results, Wavefront
 from labkit.types import Floats
@@ -46,6 +46,11 @@ class TileSight:
     def doubtful(self) -> list[Tile]:
         """Tiles whose fit contradicts the others, or whose optimum is doubtful."""
         return [tile for tile, fit in self.fits.items() if fit.test and not fit.accepted]
+
+    @property
+    def places_px(self) -> Floats:
+        """(n, 2) mean row and column of each fit's tile."""
+        return np.array([mean_place_px([fit]) for fit in self.fits.values()])
 
     def corners_px(self, tile: Tile) -> Floats:
         """Return the corners (4, 2) of a tile; of one that was left out as its neighbours predict them."""
@@ -93,7 +98,8 @@ def _tiles_of(finding: Finding, range_mm: float | None) -> list[Tile]:
 
 def tiles_chart(frame: FieldFrame, sight: TileSight, photographs: Photographs) -> Figure:
     """Draw the outlines of the tiles in the photograph, with those left out dashed and crossed."""
-    figure, axes = _pixel_axes(frame, photographs)
+    figure, axes = frame_axes(frame, HALF_IN, below_in=0.32, labelled=False)
+    show_frame(axes, frame.shape_px, photographs, -0.6, 1.1)
     for tile in sight.fits:
         doubtful = tile in sight.doubtful
         _outline(axes, sight.corners_px(tile), DOUBTFUL if doubtful else FITTED, doubtful)
@@ -114,18 +120,6 @@ def _outline(
     axes.plot(*closed.T, color=colour, lw=2.0 if bold else 1.0, ls=dashes)
 
 
-def _pixel_axes(frame: FieldFrame, photographs: Photographs) -> tuple[Figure, Axes]:
-    """Return the frame in pixels with its photograph."""
-    figure, axes = frame_axes(frame, HALF_IN, below_in=0.32, labelled=False)
-    rows, columns = frame.shape_px
-    axes.set(xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5))
-    if photographs.preview is not None:
-        shown, block = photographs.preview, photographs.preview_px
-        edges = (-0.5, shown.shape[1] * block - 0.5, shown.shape[0] * block - 0.5, -0.5)
-        axes.imshow(shown, cmap="gray", vmin=-0.6, vmax=1.1, extent=edges)
-    return figure, axes
-
-
 def _tile_legend(figure: Figure, sight: TileSight) -> None:
     kinds = [("measured", FITTED, "-", len(sight.fits) - len(sight.doubtful))]
     kinds += [("doubtful", DOUBTFUL, "-", len(sight.doubtful))]
@@ -143,40 +137,20 @@ def _tile_legend(figure: Figure, sight: TileSight) -> None:
     )
 
 
-def fit_quality_chart(frame: FieldFrame, fits: Sequence[Wavefront], title: str) -> Figure:
+def fit_quality_chart(frame: FieldFrame, sight: TileSight, title: str) -> Figure:
     """Draw the χ² per pixel of each tile at its place."""
-    places_px = np.array([mean_place_px([fit]) for fit in fits])
-    chi2 = np.array([fit.chi2_per_pixel for fit in fits])
-    flagged = [not fit.accepted for fit in fits]
-    return tile_map(frame, places_px, chi2, flagged, title, "χ² per pixel")
+    chi2 = {tile: fit.chi2_per_pixel for tile, fit in sight.fits.items()}
+    flagged = {tile for tile, fit in sight.fits.items() if not fit.accepted}
+    return tile_map(frame, sight, chi2, flagged, title, "χ² per pixel")
 
 
-def pulls_chart(title: str, pulls: Mapping[str, Floats], inks: Mapping[str, Ink]) -> Figure:
-    """Draw quantiles of each channel's pulls against normal ones, with a 99 % band."""
-    figure, axes = chart(HALF_IN, 3.2)
-    axes.set_title(title)
-    axes.axline((0, 0), slope=1, color=SOFT_INK, lw=0.8)
-    for k, (channel, every) in enumerate(pulls.items()):
-        normal, low, high, observed = normal_quantiles(every.ravel())
-        if k == 0:
-            axes.fill_between(normal, low, high, color=FAINT, lw=0)
-        ink = inks[channel]
-        axes.plot(
-            normal, observed, ink.marker, ms=2.6, mew=0, color=ink.colour, label=channel
-        )
-    axes.set(xlabel="normal quantile, σ", ylabel="quantile of the pulls, σ")
-    axes.legend(loc="upper left", handletextpad=0.2)
-    return figure
-
-
-def place_pulls_chart(geometry: FieldGeometry, inks: Mapping[str, Ink]) -> Figure:
-    """Draw quantiles of the tiles' places less the model's, over their errors."""
+def place_pulls(geometry: FieldGeometry) -> dict[str, Floats]:
+    """Return the pulls of the tiles' places by channel: residuals of the model over their errors, without outliers."""
     channels = np.array([place.key.channel for place in geometry.model.places])
-    pulls = {
+    return {
         channel: geometry.pulls[(channels == channel) & ~geometry.fit.apart]
         for channel in geometry.model.channels
     }
-    return pulls_chart("places of the tiles", pulls, inks)
 
 
 def held_out_pulls(results: Results) -> dict[str, Floats]:
@@ -194,40 +168,34 @@ def held_out_map(results: Results, frame: FieldFrame, sight: TileSight) -> Figur
     for wavefront in results:
         if wavefront.tile in squares and wavefront.pulls is not None:
             squares[wavefront.tile].append(float(np.mean(wavefront.pulls**2)))
-    rms = np.array([np.mean(of) ** 0.5 if of else np.nan for of in squares.values()])
-    flagged = [tile in sight.doubtful for tile in squares]
-    places_px = np.array([mean_place_px([sight.fits[tile]]) for tile in squares])
-    title, unit = "pulls of tiles held out", "σ RMS"
-    return tile_map(frame, places_px, rms, flagged, title, unit)
+    rms = {tile: np.mean(of or [np.nan]) ** 0.5 for tile, of in squares.items()}
+    title = "pulls of tiles held out"
+    return tile_map(frame, sight, rms, sight.doubtful, title, "σ RMS")
 
 
 def place_pulls_map(geometry: FieldGeometry, sight: TileSight) -> Figure:
     """Draw the RMS of each tile's pulls over all ranges and channels; flagged: tiles set apart in any."""
-    tiles = list(sight.fits)
     every = np.array([place.tile for place in geometry.model.places])
-    pulls = geometry.pulls
-    rms, flagged = [], []
-    for tile in tiles:
-        own = np.all(every == tile, axis=1)
-        rms.append(float(np.sqrt(np.mean(pulls[own] ** 2))))
-        flagged.append(bool(np.any(geometry.fit.apart[own])))
-    places_px = np.array([mean_place_px([sight.fits[tile]]) for tile in tiles])
-    title, unit = "pulls of the places", "σ RMS"
+    own = {tile: np.all(every == tile, axis=1) for tile in sight.fits}
+    rms = {tile: np.mean(geometry.pulls[at] ** 2) ** 0.5 for tile, at in own.items()}
+    flagged = {tile for tile, at in own.items() if np.any(geometry.fit.apart[at])}
     frame = geometry.model.frame
-    return tile_map(frame, places_px, np.array(rms), flagged, title, unit)
+    return tile_map(frame, sight, rms, flagged, "pulls of the places", "σ RMS")
 
 
 def tile_map(
     frame: FieldFrame,
-    places_px: Floats,
-    values: Floats,
-    flagged: Sequence[bool],
+    sight: TileSight,
+    numbers: Mapping[Tile, float],
+    flagged: Collection[Tile],
     title: str,
     unit: str,
 ) -> Figure:
-    """Draw a number (n,) of each tile at its place (n, 2); flagged tiles have a bold edge."""
+    """Draw a number of each tile at its place; flagged tiles have a bold edge."""
     figure, axes = frame_axes(frame, HALF_IN, title=title, below_in=0.86)
-    places = frame.heights_mm(places_px)
+    places = frame.heights_mm(sight.places_px)
+    values = np.array([numbers[tile] for tile in sight.fits])
+    bold = [tile in flagged for tile in sight.fits]
     levels = even_levels(float(np.nanmin(values)), float(np.nanmax(values)))
     shown = axes.scatter(
         places[:, 1],
@@ -238,13 +206,8 @@ def tile_map(
         vmax=levels[-1],
         s=np.clip(9000 / len(values), 8, 160),
         marker="s",
-        edgecolors=[DOUBTFUL if bold else INK for bold in flagged],
-        linewidths=[1.6 if bold else 0.4 for bold in flagged],
+        edgecolors=[DOUBTFUL if each else INK for each in bold],
+        linewidths=[1.6 if each else 0.4 for each in bold],
     )
-    height_in = figure.get_size_inches()[1]
-    at = (0.16, 0.3 / height_in, 0.5, 0.08 / height_in)
-    bar = figure.colorbar(shown, cax=figure.add_axes(at), orientation="horizontal")
-    bar.ax.tick_params(labelsize=7, pad=1, length=2, colors=SOFT_INK, labelcolor=INK)
-    bar.ax.text(1.05, 0.5, unit, va="center", fontsize=7.5, transform=bar.ax.transAxes)
-    bar.ax.grid(False)
+    colour_bar(figure, shown, unit, width=0.5)
     return figure
