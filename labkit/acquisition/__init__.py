@@ -1,0 +1,1 @@
+"""Capture: stations of the rail, exposures, focusing, and checks before and during a session."""

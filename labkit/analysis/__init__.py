@@ -1,0 +1,1 @@
+"""A session's photographs to results: `labkit fit`, in the order of its steps."""

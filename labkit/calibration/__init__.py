@@ -1,0 +1,1 @@
+"""Calibration: masters of darks and flats, gain, read noise and masks."""

@@ -1,0 +1,1 @@
+"""Protocols of cameras, rails and displays; drivers plug in by address."""

@@ -1,0 +1,1 @@
+"""The target in a photograph: found, its corners measured, its sharpness judged."""

@@ -1,0 +1,1 @@
+"""Session folders: frames, journal and plan."""

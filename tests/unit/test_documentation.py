@@ -32,6 +32,17 @@ def test_every_plan_key_says_what_it_is_and_what_it_takes(key: str, field: objec
     assert re.fullmatch(r"Allowed: .+\. Default: .+\.", facts), key
 
 
+@pytest.mark.parametrize("page", ["docs/reference/glossary.md", "CONTRIBUTING.md"])
+def test_files_that_a_page_names_are_there(page: str) -> None:
+    named = re.findall(r"`((?:\w+/)+\w+\.py)`", (ROOT / page).read_text(encoding="utf-8"))
+    assert len(named) > 3
+    assert [
+        name
+        for name in named
+        if not any((ROOT / folder / name).exists() for folder in ("", "labkit"))
+    ] == []
+
+
 def test_a_docstring_in_numpys_form_is_shown_as_lists() -> None:
     made = _text("""Rays.
 
