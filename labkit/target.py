@@ -67,6 +67,15 @@ class Target(Protocol):
         ...
 
 
+def on_dots(target: Target, dots: tuple[int, int]) -> Floats:
+    """Return the radiance of a target in the middle of each of (rows, cols) dots that cover it."""
+    y_mm, x_mm = (
+        ((np.arange(n) + 0.5) / n - 0.5) * side
+        for n, side in zip(dots, target.size_mm, strict=True)
+    )
+    return target.radiance(y_mm[:, None], x_mm[None, :])
+
+
 @dataclass(frozen=True, slots=True)
 class CellTarget:
     """A target of equal rectangular cells, each of one radiance.

@@ -15,7 +15,7 @@ from PIL import Image
 from labkit.errors import TargetError
 from labkit.files import write_atomically
 from labkit.plan.tables import PRINTED_SIZE
-from labkit.target import CellTarget, Target
+from labkit.target import CellTarget, Target, on_dots
 from labkit.target_grid import TargetGrid, whole_target
 from labkit.types import Floats
 
@@ -72,11 +72,11 @@ def render_target(
     default_dots = 3 if path.suffix.lower() == ".png" else 1
     dots = _raster(target, dpi, pixels, default_dots)
     if isinstance(target, TargetGrid):
-        radiance, dot_mm, pitch_mm = _grid_on_dots(target, dots[0])
+        radiance, dot_mm, pitch_mm = _gridon_dots(target, dots[0])
         height, width = radiance.shape[0] * dot_mm, radiance.shape[1] * dot_mm
     else:
         pitch_mm = None
-        radiance = _on_dots(target, dots)
+        radiance = on_dots(target, dots)
         height, width = target.size_mm
     rows, cols = radiance.shape
     grey = np.rint(255 * np.clip(radiance, 0, 1)).astype(np.uint8)
@@ -92,16 +92,7 @@ def render_target(
     )
 
 
-def _on_dots(target: Target, dots: tuple[int, int]) -> Floats:
-    """Return a target's radiance in the middle of each of (rows, cols) dots."""
-    y, x = (
-        ((np.arange(n) + 0.5) / n - 0.5) * side
-        for n, side in zip(dots, target.size_mm, strict=True)
-    )
-    return target.radiance(y[:, None], x[None, :])
-
-
-def _grid_on_dots(grid: TargetGrid, rows: int) -> tuple[Floats, float, float]:
+def _gridon_dots(grid: TargetGrid, rows: int) -> tuple[Floats, float, float]:
     """Return a grid's radiance in whole dots a cell and from target to target, a dot's side and the pitch, both in mm.
 
     rows: about how many dots.
@@ -113,7 +104,7 @@ def _grid_on_dots(grid: TargetGrid, rows: int) -> tuple[Floats, float, float]:
     dot_mm = tile.size_mm[0] / down
     across = cells[1] * max(1, round(tile.size_mm[1] / dot_mm / cells[1]))
     pitch = max(round(grid.pitch_mm / dot_mm), max(down, across) + 1)
-    radiance = grid.laid_out(_on_dots(tile, (down, across)), pitch)
+    radiance = grid.laid_out(on_dots(tile, (down, across)), pitch)
     return radiance, dot_mm, pitch * dot_mm
 
 

@@ -24,6 +24,7 @@ from labkit.charts.place_fit import PlaceFit, PlaceTask, fit_place
 from labkit.edges.box_fit import BoxTask
 from labkit.edges.boxes import ChannelFrame, Place, read_frames
 from labkit.edges.camera import Camera, camera_of
+from labkit.edges.measurement import measured_channels
 from labkit.errors import DataError
 from labkit.execute import Workers, default_workers
 from labkit.findings import Finding, each_once, found
@@ -86,7 +87,7 @@ def measure_chart(
         )
     photographs = read_frames(paths, plan)
     first = photographs[0]
-    names = _channels(first, plan, channels)
+    names = measured_channels(first, plan, channels)
     cells = grid(first.shape, columns)
     charts = _found(paths, photographs, leading_channel(names), cells, each)
     law = _law_waves(plan, ranges, len(paths))
@@ -139,16 +140,6 @@ def _law_waves(plan: Plan, ranges: Sequence[float], photographs: int) -> Floats:
     return defocus_waves(
         lens, np.array(ranges), middle, plan.reference_wavelength_nm, plan.fit.convention
     )
-
-
-def _channels(
-    photograph: Photograph, plan: Plan, requested: Sequence[str] | None
-) -> tuple[str, ...]:
-    """Return the requested channels, or all. Raises DataError."""
-    known = tuple(c.name for c in plan.channel if photograph.has(c.name))
-    if absent := [name for name in requested or () if name not in known]:
-        raise DataError(f"channel {', '.join(absent)}: allowed are {', '.join(known)}")
-    return tuple(name for name in known if name in (requested or known))
 
 
 def _found(

@@ -15,7 +15,7 @@ from labkit.charts.chart_edges import is_aligned
 from labkit.charts.focal_surface import FOCUS_KINDS, FocalSurface, PlaceFocus
 from labkit.charts.place_fit import EdgeResponse, PlaceFit
 from labkit.edges.response import Response, response_along
-from labkit.files import write_atomically, writing
+from labkit.files import write_folder
 from labkit.findings import Finding
 from labkit.optics.field import FieldFrame
 from labkit.types import Floats
@@ -245,16 +245,12 @@ class ChartOutcome:
         from labkit.charts.figures import draw_figures
         from labkit.figure_style import png, styled
 
-        with writing(folder):
-            folder.mkdir(parents=True, exist_ok=True)
         text = json.dumps(self.as_json(), indent=1, allow_nan=False).encode() + b"\n"
-        written = {folder / "chart.json": text}
+        files = {"chart.json": text}
         with styled():
             for name, figure in draw_figures(self, grey).items():
-                written[folder / f"{name}.png"] = png(figure)
-        for path, content in written.items():
-            write_atomically(path, content)
-        return [*written]
+                files[f"{name}.png"] = png(figure)
+        return write_folder(folder, files)
 
 
 def _place(height_mm: Floats) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import tomllib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,12 +14,13 @@ import typer
 from typer.core import TyperGroup
 
 from labkit.cli.console import Console
-from labkit.errors import InputError, PlanError
+from labkit.errors import DataError, InputError, PlanError
 from labkit.session.journal import journal_in
 from labkit.version import __version__
 
 if TYPE_CHECKING:
     from labkit.execute import Run
+    from labkit.plan import Plan
 
 
 # What a command needs is imported inside it: `labkit --help` and tab completion must not wait for SciPy.
@@ -180,6 +181,19 @@ def a_file_or_plan(*paths: Path) -> None:
         a_file(path)
 
 
+def photographs_and_plan(paths: Sequence[Path], command: str) -> tuple[list[Path], Plan]:
+    """Return photographs and the plan behind them. Raises InputError, PlanError, or DataError for a single path."""
+    a_file_or_plan(*paths)
+    from labkit.plan import Plan
+
+    if len(paths) < 2:
+        raise DataError(
+            f"give one photograph or more, and behind them their plan: labkit {command} IMAGE PLAN.toml"
+        )
+    *photographs, plan_path = paths
+    return photographs, Plan.load(plan_path)
+
+
 def a_file_or_session(*paths: Path | None) -> None:
     """Raise SessionError for a missing session, InputError for a missing file, whose name has a suffix."""
     for path in filter(None, paths):
@@ -196,6 +210,12 @@ def _is_there(path: Path) -> bool:
         return True
 
 
+Channels = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--channel", metavar="NAME", help="Only this; may be repeated.", show_default="all"
+    ),
+]
 Workers = Annotated[
     int | None,
     typer.Option(

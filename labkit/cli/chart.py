@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from labkit.cli.app import Workers, a_file_or_plan, app
+from labkit.cli.app import Channels, Workers, app, photographs_and_plan
 from labkit.cli.console import Console
-from labkit.errors import DataError
 
 if TYPE_CHECKING:
     from labkit.charts.outcome import ChartOutcome
@@ -30,12 +29,6 @@ Ranges = Annotated[
         metavar="MM",
         help="Of the chart, once for each photograph; two ranges give the sign of focus errors.",
         show_default="unknown",
-    ),
-]
-Channels = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--channel", metavar="NAME", help="Only this; may be repeated.", show_default="all"
     ),
 ]
 Columns = Annotated[
@@ -66,17 +59,10 @@ def chart(
     workers: Workers = None,
 ) -> None:
     """Measure a lens over the frame by a chart. MTF, sagittal and tangential, and focus, by the edges of squares."""
-    a_file_or_plan(*images)
+    photographs, plan = photographs_and_plan(images, "chart")
     from labkit.charts.measurement import measure_chart
-    from labkit.plan import Plan
 
     console: Console = ctx.obj
-    if len(images) < 2:
-        raise DataError(
-            "give one photograph or more, and behind them their plan: labkit chart IMAGE PLAN.toml"
-        )
-    *photographs, plan_path = images
-    plan = Plan.load(plan_path)
     with console.progress("edges") as report:
         outcome = measure_chart(
             photographs,

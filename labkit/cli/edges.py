@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from labkit.cli.app import Workers, a_file_or_plan, a_file_or_session, app
+from labkit.cli.app import Channels, Workers, a_file_or_session, app, photographs_and_plan
 from labkit.cli.console import Console
 from labkit.errors import DataError
 
@@ -61,12 +61,6 @@ Force = Annotated[
 ]
 
 
-Channels = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--channel", metavar="NAME", help="Only this; may be repeated.", show_default="all"
-    ),
-]
 Most = Annotated[
     int,
     typer.Option(
@@ -101,19 +95,12 @@ def edges(
     workers: Workers = None,
 ) -> None:
     """Estimate ranges from straight edges. And the camera's response across them, by the fit and by ISO 12233."""
-    a_file_or_plan(*images)
     a_file_or_session(psf)
+    photographs, plan = photographs_and_plan(images, "edges")
     from labkit.edges.measurement import measure_edges
-    from labkit.plan import Plan
     from labkit.results import Results
 
     console: Console = ctx.obj
-    if len(images) < 2:
-        raise DataError(
-            "give one photograph or more, and behind them their plan: labkit edges IMAGE PLAN.toml"
-        )
-    *photographs, plan_path = images
-    plan = Plan.load(plan_path)
     with console.progress("edges") as report:
         outcome = measure_edges(
             photographs,

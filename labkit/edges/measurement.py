@@ -80,7 +80,7 @@ def measure_edges(
     results = psf if psf is None or isinstance(psf, Results) else Results.load(psf)
     photographs = read_frames([Path(path) for path in paths], plan)
     first = photographs[0]
-    names = _channels(first, plan, results, channels)
+    names = measured_channels(first, plan, channels, results)
     findings = [*first.notes]
     if results is not None:
         wrong = check_same_camera(results, plan, names, first.camera, force=force)
@@ -114,11 +114,11 @@ def measure_edges(
     return EdgesOutcome(edges, _rejected(every, why), tuple(each_once(findings)), wavefront)
 
 
-def _channels(
+def measured_channels(
     photograph: Photograph,
     plan: Plan,
-    results: Results | None,
     requested: Collection[str] | None,
+    results: Results | None = None,
 ) -> tuple[str, ...]:
     """Return the requested channels, or all of plan, photograph and session. Raises DataError."""
     known = [c.name for c in plan.channel if photograph.has(c.name)]

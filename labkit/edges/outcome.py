@@ -15,7 +15,7 @@ from labkit.edges.esfr import Esfr
 from labkit.edges.found_edges import Box
 from labkit.edges.response import Response
 from labkit.errors import TargetError
-from labkit.files import write_atomically, writing
+from labkit.files import write_folder
 from labkit.finder.find_target import grey_image
 from labkit.findings import Finding, found
 from labkit.photographs.decoding import read_photograph
@@ -238,16 +238,11 @@ class EdgesOutcome:
         from labkit.edges.depth_map import draw_depth_map
         from labkit.figure_style import png, styled
 
-        with writing(folder):
-            folder.mkdir(parents=True, exist_ok=True)
         grey = grey_picture(image, plan)
         with styled():
             picture = png(draw_depth_map(grey, self))
         text = json.dumps(self.as_json(), indent=1, allow_nan=False).encode() + b"\n"
-        written = {folder / "edges.json": text, folder / "edges.png": picture}
-        for path, content in written.items():
-            write_atomically(path, content)
-        return [*written]
+        return write_folder(folder, {"edges.json": text, "edges.png": picture})
 
 
 def grey_picture(image: Path, plan: Plan) -> Floats:

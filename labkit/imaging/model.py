@@ -125,11 +125,6 @@ class ForwardModel:
         )
         torus = Torus.around(frame, guard_px, optics.pitch_um, band * cutoff)
         target = _lit(target, optics)
-        finer = math.ceil(2 * torus.spacing_um * cutoff * (1 - 1e-9))
-        spacing_um = torus.spacing_um / finer
-        size = scipy.fft.next_fast_len(math.ceil(window_um / spacing_um), real=True)
-        size = min(size, min(torus.fine) * finer)
-        pupil = optics.pupil(spacing_um, size)
         halo_um = optics.airy_um * optics.rim.halo
         wrapped = wrapped_light(torus, target, reference, halo_um, optics.active_um)
         limit = min(band * cutoff, ROUGH_BAND / optics.pitch_um)
@@ -138,9 +133,7 @@ class ForwardModel:
             oversampling=math.ceil(2 * optics.pitch_um * limit * (1 - 1e-9)),
             band_limit_per_um=limit,
         )
-        blur = Blur(
-            torus, pupil, optics.active_um, optics.light, optics.parts, optics.given
-        )
+        blur = blur_on(torus, optics, window_um, cutoff)
         rough = (blur if fewer == torus else replace(blur, torus=fewer)).simple
         return cls(
             optics,
@@ -445,3 +438,15 @@ def _by_pose(
                 motion *= sign * picture
                 result += motion
     return result
+
+
+def blur_on(torus: Torus, optics: Optics, window_um: float, cutoff_per_um: float) -> Blur:
+    """Return the blur by optics on a torus.
+
+    window_um: least width of the PSF's window, the torus at most; cutoff_per_um: of the optics, which sets the PSF's spacing
+    """
+    finer = math.ceil(2 * torus.spacing_um * cutoff_per_um * (1 - 1e-9))
+    spacing_um = torus.spacing_um / finer
+    size = scipy.fft.next_fast_len(math.ceil(window_um / spacing_um), real=True)
+    pupil = optics.pupil(spacing_um, min(size, min(torus.fine) * finer))
+    return Blur(torus, pupil, optics.active_um, optics.light, optics.parts, optics.given)

@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 from labkit.arrays import real_array
 from labkit.optics.known_bias import in_any_light, widened
 from labkit.optics.lens import blur_per_wave_um
-from labkit.optics.mtf import Direction, azimuth_deg, nodes_for, transfer_function
+from labkit.optics.mtf import Direction, azimuth_deg, modulus, nodes_for, transfer_function
 from labkit.optics.strehl import Climber, Peak, brightest_tilts, mean_square
 from labkit.optics.wavefront import DEFOCUS, FittedWavefront, modes_at
 from labkit.types import Complexes, Floats
@@ -138,9 +138,7 @@ def _modulus(
     rest: FittedWavefront, defocus: Floats, transfer: Complexes, by_mode: Complexes
 ) -> ThroughFocus:
     """Return the modulus of a transfer function (n,), with its derivatives (modes and defocus, n)."""
-    value = np.abs(transfer)
-    unit = np.divide(np.conj(transfer), value, out=np.ones_like(transfer), where=value > 0)
-    slopes = (by_mode * unit).real
+    value, slopes = modulus(transfer, by_mode)
     std = np.sqrt(rest.variance(slopes[:-1]))
     return ThroughFocus(defocus, value, std, slopes[:-1], slopes[-1])
 

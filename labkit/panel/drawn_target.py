@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from labkit.arrays import real_array
 from labkit.errors import TargetError
 from labkit.panel import USUAL_APERTURE
-from labkit.target import Target, distinct, low_pass
+from labkit.target import Target, distinct, low_pass, on_dots
 from labkit.types import Floats
 
 STRIPES = 3
@@ -70,17 +70,8 @@ class PanelTarget:
         cls, target: Target, pixels: tuple[int, int], place: int, *, lying: bool = False
     ) -> PanelTarget:
         """Return a target on (rows, cols) panel pixels, each with the target's radiance at its middle."""
-        y, x = (
-            ((np.arange(n) + 0.5) / n - 0.5) * side
-            for n, side in zip(pixels, target.size_mm, strict=True)
-        )
-        return cls(
-            target.radiance(y[:, None], x[None, :]),
-            target.size_mm,
-            place,
-            lying,
-            surround=target.surround,
-        )
+        radiance = on_dots(target, pixels)
+        return cls(radiance, target.size_mm, place, lying, surround=target.surround)
 
     def lit(self, across: float, down: float) -> PanelTarget:
         """Return the target with another aperture."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from labkit.errors import TargetError
 from labkit.panel import PanelInfo
-from labkit.target import CellTarget, Target
+from labkit.target import CellTarget, Target, on_dots
 from labkit.target_grid import TargetGrid
 from labkit.types import Floats
 
@@ -63,11 +63,7 @@ def _on_pixels(target: Target, panel: PanelInfo) -> Floats:
         for side, count in zip(target.size_mm, cells, strict=True)
     )
     _refuse_larger((rows, cols), panel, "take a smaller target")
-    y_mm, x_mm = (
-        ((np.arange(n) + 0.5) / n - 0.5) * side
-        for n, side in zip((rows, cols), target.size_mm, strict=True)
-    )
-    radiance = target.radiance(y_mm[:, None], x_mm[None, :])
+    radiance = on_dots(target, (rows, cols))
     if radiance.max() > 1:
         raise TargetError(
             f"the target's radiance goes up to {radiance.max():g}; a panel shows 0 to 1"

@@ -7,9 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import scipy.fft
 
-from labkit.imaging.blur import Blur
+from labkit.imaging.model import blur_on
 from labkit.imaging.optics import Optics
 from labkit.imaging.window import WINDOW_AIRY
 from labkit.restoration.grid import SceneGrid
@@ -220,11 +219,5 @@ def transfer_on(grid: SceneGrid, optics: Optics, waves: Floats) -> Complexes64:
     torus = grid.pixels
     side_um = min(grid.pixels.fine) * grid.pixels.spacing_um
     cutoff = optics.rim.reach / (optics.airy_um * optics.shortest)
-    finer = max(math.ceil(2 * torus.spacing_um * cutoff * (1 - 1e-9)), 1)
-    spacing_um = torus.spacing_um / finer
     window_um = min(max(WINDOW_AIRY, optics.window_airy(waves)) * optics.airy_um, side_um)
-    size = scipy.fft.next_fast_len(math.ceil(window_um / spacing_um), real=True)
-    size = min(size, min(torus.fine) * finer)
-    pupil = optics.pupil(spacing_um, size)
-    blur = Blur(torus, pupil, optics.active_um, optics.light, optics.parts, optics.given)
-    return grid.whole(blur.transfer(waves))
+    return grid.whole(blur_on(torus, optics, window_um, cutoff).transfer(waves))
