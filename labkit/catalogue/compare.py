@@ -1,4 +1,4 @@
-"""Whether two sessions are of one lens: the numbers that both determined, with the joint covariance of their differences.
+"""Whether two sessions are of one lens: the numbers determined by both, with the joint covariance of their differences.
 
 Numbers that differ between sessions of one lens are not tested: the target's pose, range zero, and the focus setting.
 Wavefronts are on the sensor's axes, whichever way the camera was turned. If both sessions are of one lens, the error of a
@@ -36,14 +36,14 @@ FALSE_ALARM = 0.01
 """Probability of one lens below which sessions are said to differ."""
 
 LEAST_SHOWN = 1e-99
-"""Least p-value that is shown as a number."""
+"""Least p-value shown as a number."""
 
 LEAST_TESTED_VARIANCE = 1e-3
 """Least variance of a tested combination of differences, over that of both sessions' errors. Focal length, f-number and pupil
 magnification together are known 50 times better than each; tapes 0.5 % apart turn that combination by more than its error."""
 
 WAVELENGTH_PREFIX = "wavelength"
-"""Start of the names of stated numbers that belong to the camera."""
+"""Start of the names of the camera's stated numbers."""
 
 OTHER_FOCUS = 0.1
 """Relative difference of best focus from which aberrations change with the distance about as much."""
@@ -83,10 +83,10 @@ class Comparison:
     ----------
     first, second : names of the sessions
     p_value : probability of differences as large, or larger, for one lens
-    chi2, freedom : squared differences over their covariance, and the number of combinations that both sessions determine
+    chi2, freedom : squared differences over their covariance, and the number of combinations determined by both sessions
     differences : by number
     wavefronts : second less first by channel, without defocus, with their joint covariance
-    notes : what else may differ, in words
+    notes : other possible differences, in words
     """
 
     first: str

@@ -11,7 +11,7 @@ from labkit.errors import DataError
 from labkit.uncertain import Uncertain
 
 MOST_NAMED_LENSES = 20
-"""Number of lenses that one message names."""
+"""Number of lenses in a message."""
 
 
 @dataclass(frozen=True, slots=True)

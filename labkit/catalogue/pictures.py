@@ -50,7 +50,7 @@ def history_picture(history: History) -> bytes:
 
 
 def _over_time(axes: Axes, history: History, quantity: str) -> None:
-    """Draw one number with standard errors at each session's time."""
+    """Draw a number with standard errors at each session's time."""
     ink = channel_inks([history.channel])[history.channel]
     shown = [
         (_time(entry.taken), number)

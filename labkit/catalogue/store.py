@@ -50,7 +50,7 @@ Place = tuple[str, str]
 
 @dataclass(frozen=True, slots=True)
 class Catalogue:
-    """Entries in the order of their folders; warnings: what was wrong with the catalogue's file, in words."""
+    """Entries in the order of their folders; warnings: faults of the catalogue's file, in words."""
 
     entries: tuple[Entry, ...]
     warnings: tuple[str, ...] = ()

@@ -150,7 +150,7 @@ NO_SUCH_FILE = os.strerror(errno.ENOENT)
 
 
 def a_session(path: Path) -> None:
-    """Raise SessionError for a path that is no session folder."""
+    """Raise SessionError for a path other than a session folder."""
     journal_in(path)
 
 

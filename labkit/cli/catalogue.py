@@ -70,7 +70,7 @@ def _row(entry: Entry) -> list[str]:
 
 
 def _warn(console: Console, catalogue: Catalogue) -> None:
-    """Name what was wrong with the catalogue, and each session that was left out."""
+    """Name the catalogue's faults, and each session left out."""
     console.warn(*catalogue.warnings)
     for entry in catalogue.entries:
         if entry.problem:

@@ -80,7 +80,7 @@ def chart(
 def _show(
     console: Console, outcome: ChartOutcome, image: Path, plan: Plan, out: Path | None
 ) -> None:
-    """Print what was measured, and write it."""
+    """Print the measured numbers, and write them."""
     from labkit.edges.outcome import grey_picture
 
     console.warn(*(finding.text for finding in outcome.findings))

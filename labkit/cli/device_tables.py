@@ -18,7 +18,7 @@ NONE_OF = {
 def device_tables(
     connected: Connected,
 ) -> tuple[tuple[str, Sequence[list[str]] | None], ...]:
-    """Return title and rows of each kind of device, with the line for the plan; None for what was not looked at."""
+    """Return title and rows of each kind of device, with the line for the plan; None for kinds not looked for."""
     cameras = connected.cameras
     rails = connected.rails
     usb = connected.usb

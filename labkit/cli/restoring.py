@@ -168,7 +168,7 @@ def restore(
 
 
 def _shown(console: Console, made: Restoration, method: str) -> dict[str, Any]:
-    """Print what was restored; return it as JSON."""
+    """Print the outcome of a restoration; return the outcome as JSON."""
     console.warn(*made.notes)
     chosen = made.about["lambda"]
     by = f"lambda {chosen['value']:.3g} by {chosen['chosen_by']}" if chosen else method

@@ -81,7 +81,7 @@ class ChannelFrame:
         return Region(y[used], x[used], self.light[cut][used], centre, frame)
 
     def planes(self, place: Place) -> tuple[Plane, ...]:
-        """Return a box's samples by plane, all of one size; none if a sample is clipped."""
+        """Return a box's samples by plane, all of equal size; none if a sample is clipped."""
         step = self.pixels.period
         r0, c0, r1, c1 = place.box
         firsts = [
@@ -111,7 +111,7 @@ def read_frames(paths: Sequence[Path], plan: Plan) -> list[Photograph]:
 
 
 def _refuse_box(box: Box, shape: tuple[int, ...]) -> None:
-    """Raise DataError, one line, for a box that is too small or not in a picture of (rows, columns)."""
+    """Raise DataError, one line, for a box too small or not in a picture of (rows, columns)."""
     r0, c0, r1, c1 = box
     rows, columns = shape
     if min(r1 - r0, c1 - c0) < LEAST_BOX_SIDE_PX:

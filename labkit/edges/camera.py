@@ -39,7 +39,7 @@ class Camera:
 def camera_of(
     plan: Plan, channel: str, results: Results | None, white: float, focus_mm: float | None
 ) -> Camera:
-    """Return a channel's optics, lens and noise; the prior of usual modes for a lens that no session measured.
+    """Return a channel's optics, lens and noise; the prior of usual modes for a lens without a session.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def focus_law(
 ) -> FocusLaw | None:
     """Return the law of the lens focused as in the session, or at a stated range; None if neither is known.
 
-    A stated range is that of green, or of the first channel. The other best foci keep their distances in the session; without
+    A stated range is green's, or the first channel's. The other best foci keep their distances in the session; without
     one they are unknown, and the law is of that channel alone.
     """
     best = {} if results is None or results.focus is None else results.focus.best_focus_mm

@@ -1,4 +1,4 @@
-"""Fits of several boxes with something in common: a wavefront that is estimated with them, or the range that they share."""
+"""Fits of several boxes with something in common: an estimated wavefront, or a shared range."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ALIKE_WAVES = 0.01  # RMS by which defoci of one range may differ, for a curved 
 def in_common(boxes: Sequence[BoxFit], one_range: bool) -> list[BoxFit]:
     """Fit boxes again with what they have in common.
 
-    With a given wavefront only a declared range is common. A wavefront that is estimated is common to all edges and
+    With a given wavefront only a declared range is common. An estimated wavefront is common to all edges and
     colours, and does not determine the side of best focus.
     """
     if boxes and not boxes[0].task.camera.given:
@@ -51,7 +51,7 @@ def correlation(boxes: Sequence[BoxFit]) -> Floats | None:
 
 
 def contradictions(boxes: Sequence[BoxFit]) -> dict[Place, str]:
-    """Return the boxes that contradict the range that all are declared to have, each with a sentence."""
+    """Return the boxes in contradiction to a declared common range, each with a sentence."""
     found: dict[Place, str] = {}
     for every in by_channel(boxes).values():
         left = [of for of in every if of.task.place not in found]
@@ -74,7 +74,7 @@ def contradictions(boxes: Sequence[BoxFit]) -> dict[Place, str]:
 
 
 def _defoci(ends: Sequence[EdgeFit]) -> Floats:
-    """Return defoci and their errors (2, n) as of one range, waves."""
+    """Return defoci and their errors (2, n) as of a common range, waves."""
     value, std = np.reshape([end.defocus() for end in ends], (-1, 2)).T
     return np.stack([value, np.hypot(std, ALIKE_WAVES)])
 
@@ -86,7 +86,7 @@ def _mean(value: Floats, std: Floats) -> tuple[float, float]:
 
 
 def _one_side(boxes: Sequence[BoxFit]) -> list[EdgeFit]:
-    """Return an end of each fit, all on the side of best focus that is likelier and agrees better."""
+    """Return an end of each fit, all on the likelier side of best focus, with better agreement."""
     costs = []
     for sign in (1, -1):
         ends = [max(of.ends, key=lambda end: sign * end.defocus()[0]) for of in boxes]
@@ -127,7 +127,7 @@ def joint_problem(
 
 
 def _of_one_range(boxes: Sequence[BoxFit]) -> list[BoxFit]:
-    """Fit the boxes of one colour with one defocus, the wavefront given."""
+    """Fit the boxes of a colour with a common defocus, the wavefront given."""
     ends = _one_side(boxes)
     problem, placed = joint_problem(boxes, [0] * len(boxes))
     start, _ = _mean(*np.array([end.defocus() for end in ends]).T)
@@ -153,7 +153,7 @@ def _both(fit: EdgeFit, boxes: Sequence[BoxFit]) -> tuple[Side, ...]:
 
 
 def _with_wavefront(boxes: Sequence[BoxFit], one_range: bool) -> list[BoxFit]:
-    """Fit the clearest boxes in all colours with one wavefront, and the others with the wavefront so estimated."""
+    """Fit the clearest boxes in all colours with a common wavefront, and the others with the wavefront so estimated."""
     error: dict[Place, float] = {}
     for of in boxes:
         known = error.get(of.task.place, np.inf)

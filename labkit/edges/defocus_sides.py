@@ -1,4 +1,4 @@
-"""Sides of best focus that a defocus may be on, and its errors near best focus, where the likelihood is no parabola.
+"""Possible sides of best focus of a defocus, and its errors near best focus, where the likelihood is no parabola.
 
 Near best focus the information on defocus vanishes, and the curvature at the likeliest value is no guide: both sides of best
 focus run together, or one hides as a shoulder of the other. So the likelihood is followed along defocus, all else fitted at
@@ -24,14 +24,14 @@ PROBED, BENT = 2.0, 0.6
 
 WIDEST = 0.1  # waves RMS: a larger error by the curvature shows that the information has vanished
 STEPS = 0.5 ** np.arange(1.0, 5.0)
-"""Steps in errors by the curvature; each is tried if the one before gave too few values."""
+"""Steps in errors by the curvature; each is tried if the step before gave too few values."""
 
 ENOUGH = 8  # values within half of DEEPEST
 MOST_VALUES, FINE = 40, 2001  # on either side; of the curve through them
 
 
 def sides_of(ends: Sequence[EdgeFit]) -> tuple[Side, ...]:
-    """Return the sides of the ends of a fit with one defocus, likelier first."""
+    """Return the sides of the ends of a fit with a common defocus, likelier first."""
     sides: list[Side] = []
     straight = []
     followed: list[tuple[float, float]] = []

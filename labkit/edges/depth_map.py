@@ -19,7 +19,7 @@ LABEL_BOX = {"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 1.
 
 
 def draw_depth_map(grey: Floats, outcome: EdgesOutcome) -> Figure:
-    """Draw each edge in the colour of its range over the grey picture; without ranges, in that of its defocus.
+    """Draw each edge in the colour of its range over the grey picture; without ranges, of its defocus.
 
     grey: (rows, columns) about 0 to 1, of the raw's pixels. Rejected boxes are drawn dashed.
     """

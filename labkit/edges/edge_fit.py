@@ -49,7 +49,7 @@ class LensPrior:
 
     Raises
     ------
-    ValueError : other shapes, or a covariance that is not positive
+    ValueError : other shapes, or a covariance not positive
     """
 
     mean: Floats
@@ -133,14 +133,14 @@ class EdgeProblem:
 
     Attributes
     ----------
-    optics : of each colour, with the same modes, defocus first; the other modes are one path difference for all colours
+    optics : of each colour, with the same modes, defocus first; the other modes are the same path difference for all colours
     regions : regions of all frames and colours
     noise : prior for each frame, and colour
     lens : prior for the modes but defocus
 
     Raises
     ------
-    ValueError : sizes that contradict each other
+    ValueError : contradictory sizes
     """
 
     optics: tuple[Optics, ...]
@@ -241,7 +241,7 @@ class EdgeProblem:
         return mean, np.asarray(block_diag(self.lens.precision, np.diag(noise)))
 
     def alone(self, k: int) -> EdgeProblem:
-        """Return the problem of one region."""
+        """Return the problem of a region."""
         region = self.regions[k]
         return EdgeProblem(
             (self.optics_of(k),),
@@ -305,7 +305,7 @@ def fit_edges(
     problem : regions and their camera
     start : where to begin
     tolerance, max_steps : as in `labkit.estimation.climb.climb`
-    held : places, in the thesis's order, of parameters that stay
+    held : places, in the thesis's order, of constant parameters
 
     Raises
     ------

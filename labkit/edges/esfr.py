@@ -1,4 +1,4 @@
-"""The edge-based spatial frequency response of ISO 12233:2017 (its Annex D), from pixels of one colour, nothing demosaiced.
+"""The edge-based spatial frequency response of ISO 12233:2017 (its Annex D), from pixels of a colour, nothing demosaiced.
 
 Each line's derivative has its centroid where the edge crosses it; a straight line through these; pixels projected along it
 into bins of a quarter of a pixel; their means' derivative, a Hamming window about its peak, the modulus of its Fourier
@@ -43,7 +43,7 @@ UNSURE = (
 
 @dataclass(frozen=True)
 class Plane:
-    """Samples of one colour on a square lattice.
+    """Samples of a colour on a square lattice.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ def esfr(planes: Sequence[Plane], pitch_um: float) -> Esfr:
 
     Parameters
     ----------
-    planes : of one colour: one, or several such as the two green ones
+    planes : of a colour, one or several, such as the two green planes
     pitch_um : of the raw's pixels
 
     Raises
@@ -262,7 +262,7 @@ def _rise_again(cycles: Floats, value: Floats) -> int:
 def _fall(frequency: Floats, value: Floats, std: Floats, level: float) -> Uncertain:
     """Return the frequency at which the curve first falls to a level; nan if its error exceeds MOST_UNSURE of it.
 
-    The error reaches from the fall of the curve less its standard error to that of the curve with it, or to the end.
+    The error reaches from the fall of the curve less its standard error to the fall of the curve plus the error, or to the end.
     """
     earliest, at, latest = (
         crossing(frequency, value + sign * std, std, level) for sign in (-1, 0, 1)

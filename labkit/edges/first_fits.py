@@ -61,14 +61,14 @@ class RoughEdge:
 
     @cached_property
     def residuals(self) -> Floats:
-        """Counts less those of the blurred edge, (n,)."""
+        """Counts less the blurred edge's, (n,)."""
         across, _ = self.region.across_and_along(self.edge)
         blurred = self.edge.near + self.edge.rise * ndtr(across / self.width_px)
         return np.asarray(self.region.counts - blurred)
 
     @property
     def explained(self) -> float:
-        """Share of the counts' variance that the edge explains."""
+        """Share of the counts' variance explained by the edge."""
         return float(1 - np.mean(self.residuals**2) / np.var(self.region.counts))
 
     def refuse_no_edge(self) -> None:
@@ -93,7 +93,7 @@ class RoughEdge:
             )
 
     def refuse_uneven(self) -> None:
-        """Raise DataError, one line, for a line that is not straight or sides that are not even."""
+        """Raise DataError, one line, for a curved line or uneven sides."""
         refuse_structure(self.region, self.edge, self.residuals, "is left", MOST_UNEVEN)
 
 
@@ -136,7 +136,7 @@ def rough_edge(region: Region) -> RoughEdge:
 def refuse_structure(
     region: Region, edge: Edge, residuals: Floats, left: str, most: float
 ) -> None:
-    """Raise DataError, one line, for residuals (n,) that neighbours share.
+    """Raise DataError, one line, for residuals (n,) common to neighbours.
 
     left : what leaves the residuals, in words
     most : largest RMS of the cells' means, without their noise, over the step
@@ -160,7 +160,7 @@ def refuse_structure(
 
 
 def likely_defocus(optics: Optics, width_px: float) -> float:
-    """Return the defocus, waves RMS at the reference, that blurs an edge by a Gaussian's width.
+    """Return the defocus, waves RMS at the reference, with a Gaussian's blur of an edge.
 
     Defocus spreads a point over a disc 8 N times its peak to valley across, whose line-spread function has a quarter of
     the diameter as its standard deviation. The pixel's own blur is subtracted.
@@ -173,11 +173,11 @@ def likely_defocus(optics: Optics, width_px: float) -> float:
 def fit_depth(
     problem: EdgeProblem, rough: Sequence[RoughEdge], tolerance: float = EXACTLY
 ) -> tuple[EdgeFit, ...]:
-    """Fit a problem with one defocus.
+    """Fit a problem with a common defocus.
 
     Parameters
     ----------
-    problem : regions of one depth
+    problem : regions of equal depth
     rough : the rough edge of each region
     tolerance : as in `fit_edges`
 
@@ -241,7 +241,7 @@ def twin(fit: EdgeFit) -> EdgeFit:
 def fit_jointly(problem: EdgeProblem, start: EdgeState, groups: Sequence[int]) -> EdgeFit:
     """Fit all depths at once, with modes common to all, from fits of each depth.
 
-    Edges join one after another, each on the side of best focus that is likelier by the modes estimated so far; the first
+    Edges join one after another, each on the likelier side of best focus by the modes estimated so far; the first
     edge's side is arbitrary.
 
     Parameters

@@ -33,7 +33,7 @@ class FoundEdge:
 
     Attributes
     ----------
-    box : around it, in pixels of the raw
+    box : around the piece, in pixels of the raw
     middle : (row, column) there
     angle : of its normal towards the brighter side, radians from x towards y
     length_px : in the raw
@@ -80,7 +80,7 @@ def find_edges(
 
     Parameters
     ----------
-    picture : (rows, columns) of one colour, counts above black
+    picture : (rows, columns) of a colour, counts above black
     first, step : (row, column) of the first sample in the raw, and pixels from sample to sample
     most : number of edges
     """
@@ -97,7 +97,7 @@ def edge_pieces(picture: Floats, trim: float = 0.0) -> list[FoundEdge]:
 
     Parameters
     ----------
-    picture : (rows, columns) of one colour, counts above black
+    picture : (rows, columns) of a colour, counts above black
     trim : left out at either end of a segment, samples
 
     Returns

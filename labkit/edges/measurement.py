@@ -50,28 +50,28 @@ def measure_edges(
 
     Parameters
     ----------
-    images : one photograph, or several of one scene with the camera at rest
+    images : a photograph, or several of the same scene with the camera at rest
     plan : the photographs' plan, or its path
     psf : results, or their folder, of a session with the same lens and aperture, whose
         wavefront and best focus are taken; None to fit the wavefront along
     boxes : (first row, first column, row and column after the last) around each edge, in
         raw pixels; none to search for edges
-    focus_mm : range that the lens is focused at, in place of the session's
+    focus_mm : the lens's best focus, in place of the session's
     channels : channels to measure; None for all
-    one_range : whether all edges are at one range
-    most : largest number of edges that are searched for
+    one_range : whether all edges are at the same range
+    most : largest number of edges in a search
     force : whether to take a session of another camera
-    workers : number of processes, by default one for each core
+    workers : number of processes, by default as many as cores
     progress : called as the work goes on
 
     Returns
     -------
-    the edges, and boxes that give no edge with the reasons
+    the edges, and boxes without an edge with the reasons
 
     Raises
     ------
     RawError, DataError
-        of photographs and sessions that cannot be used, and where no edge is found
+        of unusable photographs and sessions, and without any edge
 
     >>> labkit.measure_edges("chart.dng", "plan.toml", psf="night-3").edges
     """
@@ -135,7 +135,7 @@ def _fitted(
     workers: int | None,
     progress: Progress,
 ) -> tuple[list[BoxFit], dict[Place, str]]:
-    """Fit each box in each channel; return also the boxes that give no fit in most channels, and why."""
+    """Fit each box in each channel; return also the boxes without a fit in most channels, and why."""
     tasks: list[BoxTask] = []
     faults: dict[Place, list[str]] = {place: [] for place in places}
     for camera in cameras:
@@ -171,7 +171,7 @@ def _rejected(
 
 
 def _measured(boxes: Sequence[BoxFit], law: FocusLaw | None) -> MeasuredEdge:
-    """Return an edge in all colours that gave a fit."""
+    """Return an edge in all colours with a fit."""
     where = EdgeRange()
     known = [of for of in boxes if law and of.channel in law.channels]
     if law is not None and known:
@@ -184,7 +184,7 @@ def _measured(boxes: Sequence[BoxFit], law: FocusLaw | None) -> MeasuredEdge:
 
 
 def _channel_edge(of: BoxFit) -> ChannelEdge:
-    """Return an edge in one colour."""
+    """Return an edge in a colour."""
     fit = of.fit
     edge = fit.state.edge(of.first)
     error = fit.std.edge(of.first)

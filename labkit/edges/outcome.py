@@ -42,12 +42,12 @@ HEADING = [
 
 @dataclass(frozen=True)
 class ChannelEdge:
-    """An edge in one colour.
+    """An edge in a colour.
 
     Attributes
     ----------
     defocus : waves RMS at the reference
-    other_defocus : on the other side of best focus, if the picture alone does not exclude it
+    other_defocus : on the other side of best focus, if not excluded by the picture alone
     angle_deg, near, far : direction of the normal, and the radiances of both sides, counts
     chi2_per_pixel, pixels : of the fit
     fitted, iso : response by the fit, and by ISO 12233
@@ -121,7 +121,7 @@ class MeasuredEdge:
     box : R0,C0,R1,C1 in the raw
     line : (2, 2) its ends, (row, column) in the raw
     range_mm : nan if the focus of the lens is unknown
-    other : range on the other side of best focus, if the data do not exclude it
+    other : range on the other side of best focus, if not excluded by the data
     channels : the edge in each colour
     """
 
@@ -202,7 +202,7 @@ class EdgesOutcome:
     Attributes
     ----------
     edges, rejected : measured edges, and boxes without a fit
-    findings : what a user should see as warnings
+    findings : warnings for the user
     wavefront : modes but defocus, waves RMS at the reference, if estimated with the edges
     """
 
@@ -270,7 +270,7 @@ def _responses(at: Floats, responses: Mapping[str, Response | None]) -> dict[str
 
 
 def _json(value: Any) -> Any:
-    """Return a value for JSON: numbers that are not finite become null, arrays have six digits."""
+    """Return a value for JSON: numbers not finite become null, arrays have six digits."""
     match value:
         case Uncertain():
             return value.as_json()

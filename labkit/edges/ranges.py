@@ -1,7 +1,7 @@
 """Defocus of an edge to its range, through the lens's law (thesis (4.40) corrected, §5.2.5), the side of best focus chosen.
 
 Defocus is nearly linear in 1 / range, so that ranges are solved for there; beyond infinity nothing lies, which may tell
-the sides apart. Colours have best foci of their own: the range that all of them agree on is on one side only.
+the sides apart. Colours have best foci of their own: they agree on a range on a single side only.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class FocusLaw:
 
     Raises
     ------
-    ValueError : sizes that contradict each other
+    ValueError : contradictory sizes
     """
 
     lens: ThinLens
@@ -152,7 +152,7 @@ class Side:
 
 @dataclass(frozen=True)
 class EdgeRange:
-    """range_mm: the likeliest; other: the one on the other side of best focus, where the data do not exclude it."""
+    """range_mm: the likeliest; other: the range on the other side of best focus, where not excluded by the data."""
 
     range_mm: Uncertain = UNKNOWN_RANGE
     other: Uncertain | None = None
@@ -163,7 +163,7 @@ def edge_range(
     sides: Sequence[tuple[str, Sequence[Side]]],
     correlation: Floats | None = None,
 ) -> EdgeRange:
-    """Return the range of an edge from its defocus in one colour or several.
+    """Return the range of an edge from its defocus in any number of colours.
 
     Parameters
     ----------

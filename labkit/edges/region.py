@@ -58,7 +58,7 @@ def turned(angle: float, x: Floats, y: Floats) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True)
 class Region:
-    """Pixels of one colour around an edge in one frame.
+    """Pixels of a colour around an edge in a frame.
 
     Attributes
     ----------

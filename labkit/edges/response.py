@@ -19,12 +19,12 @@ UNKNOWN_FREQUENCY = Uncertain(np.nan, np.nan, "cycles/mm")
 
 @dataclass(frozen=True)
 class Response:
-    """The response across one edge, along its normal.
+    """The response across an edge, along its normal.
 
     Attributes
     ----------
     frequency_per_mm, value, std : (n,) on the sensor
-    mtf50, mtf10 : first fall to 0.5 and to 0.1, cycles/mm; nan without a fall, and where it is not known
+    mtf50, mtf10 : first fall to 0.5 and to 0.1, cycles/mm; nan without a fall, and where unknown
     """
 
     frequency_per_mm: Floats
@@ -43,7 +43,7 @@ class Response:
 
 
 def fitted_response(fit: EdgeFit, k: int = 0) -> Response:
-    """Return the response of one region's edge, up to twice the raw's Nyquist frequency or the lens's cutoff.
+    """Return the response of a region's edge, up to twice the raw's Nyquist frequency or the lens's cutoff.
 
     Errors are by the delta method, from defocus and the other modes as the fit knows them.
     """

@@ -2,7 +2,7 @@
 
 A picture of an edge changes only across it, so all of the transfer function that it sees is a slice along its normal: the
 autocorrelation of the pupil there, times the pixel's active square and what else the camera adds. The slice's odd
-harmonics of a long period make a train of edges that lie far apart; what the others' halo adds is taken off in closed form.
+harmonics of a long period make a train of edges far apart; the others' halo is subtracted in closed form.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def camera_slice(optics: Optics, waves: Floats, azimuth: float, frequency: Float
 def _lens_slice(
     optics: Optics, waves: Floats, azimuth: float, frequency: Floats, node: float
 ) -> Complexes:
-    """Return the lens's value in one wavelength, then its slopes by modes and azimuth: (modes + 2, f), 0 beyond the cutoff.
+    """Return the lens's value in a wavelength, then its slopes by modes and azimuth: (modes + 2, f), 0 beyond the cutoff.
 
     node : wavelength relative to the nominal one
     """
@@ -113,7 +113,7 @@ class EdgeSpread:
     Attributes
     ----------
     spline : of r
-    reach_um : largest distance that it serves
+    reach_um : largest distance of use
     """
 
     spline: BSpline

@@ -1,4 +1,4 @@
-"""The one number of a PSF that a photograph itself may determine: its defocus."""
+"""The defocus of a PSF, determined by the photograph itself."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Defocus:
 
     @property
     def doubts(self) -> list[str]:
-        """Sentences on a defocus that was not determined."""
+        """Sentences on an undetermined defocus."""
         if self.determined:
             return []
         return [
@@ -53,7 +53,7 @@ class Defocus:
 
 
 def fitted_defocus(job: Job, progress: Progress = no_progress) -> tuple[Job, Defocus]:
-    """Return the job with the likeliest defocus over all scenes, all colours moved alike, and that defocus.
+    """Return the job with the likeliest defocus over all scenes, all colours moved alike, and the defocus.
 
     It has the sign of the session's defocus, since a photograph hardly determines the sign. Its error is a jackknife over
     parts, which differ in spectrum and depth. Raises ValueError if mode 4 is none of the modes.

@@ -1,13 +1,13 @@
 """Standard errors fitted to the photograph: larger where its scene is rougher, right for a like scene whose truth is known.
 
-The penalty supposes a Gaussian scene, everywhere equally rough. Photographs have few edges and much that is even: most
-errors are far smaller than the supposed standard deviation, and those at edges larger. So the penalty's part of a variance
+The penalty supposes a Gaussian scene, everywhere equally rough. Photographs have few edges and large even areas: most
+errors are far smaller than the supposed standard deviation, and errors at edges larger. So the penalty's part of a variance
 follows the squared slope about a sample. Then the scene made half as large, which is nearly free of blur, is photographed by
-the same lens and restored again: of that scene the truth is known. Scenes are alike at all scales (D. Ruderman and W. Bialek,
-Phys. Rev. Lett. 73, 814 (1994)), so the errors in that test are those of the photograph.
+the same lens and restored again: the truth of the smaller scene is known. Scenes are alike at all scales (D. Ruderman and
+W. Bialek, Phys. Rev. Lett. 73, 814 (1994)), so the test has the photograph's errors.
 
-A restored scene lacks the detail that blur took from it, and would be restored too well. So a second round tests the scene
-with a random error, as large as the first round found errors to be: a sample of all scenes that may have been photographed.
+A restored scene lacks the detail lost to blur, and would be restored too well. So a second round tests the scene
+with a random error, as large as the first round found errors to be: a sample of all scenes compatible with the photograph.
 """
 
 from __future__ import annotations
@@ -91,14 +91,14 @@ def localise(canvas: Canvas, samples: int, mean: Floats, factors: Floats) -> Non
 def tests_of(
     canvas: Canvas, job: Job, stiffness: float, mean: Floats, factors: Floats
 ) -> list[tuple[Job, Floats32]]:
-    """Return photographs of parts of the restored scene made smaller, and those parts: the truth.
+    """Return photographs of parts of the restored scene made smaller, and the parts: the truth.
 
     Parameters
     ----------
     canvas, job : picture with errors as the penalty supposes, and what it was restored from
     stiffness : as of `Strength`
     mean : as of `localised`
-    factors : (colours,) size of the random error that parts are given, relative to localised errors; 0 for none
+    factors : (colours,) size of the random error of parts, relative to localised errors; 0 for none
     """
     rng = np.random.default_rng(TEST_SEED)
     found = []
@@ -120,7 +120,7 @@ def tests_of(
 
 
 def _parts(job: Job) -> list[Area]:
-    """Return squares of the photograph along its diagonal, and that across it, in whole cells; none if it is too small."""
+    """Return squares of the photograph along its diagonals, in whole cells; none if too small."""
     cell = SMALLER * job.period
     side = min(SMALLER * PART_PX, *job.shape) // cell * cell
     if side < SMALLER * LEAST_PART_PX:
@@ -177,13 +177,13 @@ def calibrate_errors(
     stiffness: float,
     restored: Callable[[Sequence[Job]], Iterator[tuple[int, Floats32]]],
 ) -> None:
-    """Make a picture's errors such that 68 % of a scene like it is within one of them.
+    """Make a picture's errors such that 68 % of a similar scene is within them.
 
     A photograph too small for a test keeps its errors' scale.
 
     Parameters
     ----------
-    canvas, job : the picture, and what it was restored from
+    canvas, job : the picture, and its photographs
     stiffness : as of `Strength`
     restored : returns the layers of photographs, with their numbers
     """

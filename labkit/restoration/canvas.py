@@ -18,7 +18,8 @@ BAND_ROWS = 128  # rows of a picture that are held in memory at once
 class Canvas:
     """An array of zeros (layers, colours, rows, columns), each change of which is kept.
 
-    The file goes with this object. Its space is reserved first: a full disk ends a program that writes to mapped memory.
+    The file goes with this object. Its space is reserved first: a full disk ends a program as it writes to
+    mapped memory.
 
     Parameters
     ----------

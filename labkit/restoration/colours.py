@@ -1,4 +1,4 @@
-"""The covariance of a scene's colours: the share of detail that they have in common."""
+"""The covariance of a scene's colours: the share of their common detail."""
 
 from __future__ import annotations
 

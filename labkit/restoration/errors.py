@@ -1,8 +1,8 @@
 """Standard errors of a restored scene: the diagonal of the inverse of the penalised misfit's second derivatives.
 
 Where all counts are equally good that is the same from cell to cell of the filter array, and known without estimating it: a
-sample's variance before the data, less what the data of all cells take off it. Noise that changes slowly over the picture is
-taken as even about each sample; what is clipped or dead has no weight in it.
+sample's variance before the data, less its reduction by the data of all cells. Noise that changes slowly over the picture is
+taken as even about each sample; clipped and dead pixels have no weight.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def random_error(
 ) -> Floats32:
     """Return the error (components, rows, columns) of the frame of a random scene, restored without regard to its bound.
 
-    The scene is Gaussian, with the spectrum that the penalty supposes, and as bright as the data.
+    The scene is Gaussian, with the penalty's spectrum, and as bright as the data.
     """
     grid = views.grid
     solid = _supposed(grid, coupling, stiffness)

@@ -28,7 +28,7 @@ LEAST_PX = 16  # side of a photograph, or of an area of it
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """An exposure of the scene, the photograph that it is an area of, and the share of clipped pixels.
+    """An exposure of the scene, the whole photograph, and the share of clipped pixels.
 
     origin : (row, column) of the area's first pixel
     """
@@ -151,7 +151,7 @@ def refuse_other_camera(path: Path, frames: Sequence[Frame], plan: Plan) -> None
 
 
 def _exif(path: Path) -> Exif:
-    """Return what a file states, nothing if it cannot be read."""
+    """Return a file's statements, none if unreadable."""
     try:
         return read_exif(path)
     except OSError:

@@ -1,4 +1,4 @@
-"""The grid that a scene is restored on: its spectra, and how planes of a mosaic sample them (thesis 2.61, 4.41)."""
+"""The grid of a restored scene: its spectra, and how planes of a mosaic sample them (thesis 2.61, 4.41)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class SceneGrid:
 
     frame: (rows, columns) of pixels, whole cells of `period`. guard_px: pixels beyond it on every side, at least, from which
     light reaches it. period: pixels to a cell of the filter array, 2 for Bayer's, 1 for mono. samples: to a pixel.
-    pixels, cells: the same torus counted in pixels, and in cells, which a plane of the mosaic has one sample in.
+    pixels, cells: the same torus counted in pixels, and in cells with a sample of each plane.
 
     Spectra are half planes (fine rows // 2 + 1, fine columns), rows from frequency 0 up; the row at Nyquist's frequency, if
     there is one, is seen by no plane.
@@ -75,7 +75,7 @@ class SceneGrid:
 
     @property
     def inner(self) -> tuple[slice, slice]:
-        """The fine samples of the frame: those within its pixels, the first of each in its centre."""
+        """The fine samples within the frame's pixels, the first of each pixel in its centre."""
         rows, columns = (
             slice(m * self.samples, (m + f) * self.samples)
             for m, f in zip(self.pixels.margin, self.frame, strict=True)
@@ -99,7 +99,7 @@ class SceneGrid:
 
     @cached_property
     def share(self) -> Floats32:
-        """(half, 1) by which a half plane's squares sum to those of the image: Parseval's."""
+        """(half, 1) by which a half plane's squares sum to the image's: Parseval's."""
         rows, columns = self.shape
         share = np.full((rows // 2 + 1, 1), 2.0 / (rows * columns), np.float32)
         share[0] /= 2

@@ -1,4 +1,4 @@
-"""Photographs of one scene and the lenses in front of them, and their areas as views of a part of the scene."""
+"""Photographs of a scene and the lenses in front of them, and their areas as views of a part of the scene."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LEAST_USED = 4  # counts of a plane in an area
 
 @dataclass(frozen=True, eq=False)
 class Colour:
-    """One colour of the scene: its pixels in the filter array's cell, and the lens in its light.
+    """A colour of the scene: its pixels in the filter array's cell, and the lens in its light.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class Colour:
     places : (row, column) in the cell
     optics, waves : of the session
     gain, read_variance : counts per electron, counts squared
-    motion : (2, 3), lateral colour: displacement in this colour of what another one shows at [row, column, 1], px
+    motion : (2, 3), lateral colour: displacement from another colour's picture at [row, column, 1], px
     waves_at : (row, column) of a place in the photograph -> (modes,), if they differ over the field
     """
 
@@ -64,7 +64,7 @@ class Exposure:
     counts : (rows, columns) of all colours, above black
     used : neither clipped nor dead
     light : relative illumination
-    motion : (2, 3), displacement in this photograph of what the first one shows at [row, column, 1], px
+    motion : (2, 3), displacement from the first photograph's picture at [row, column, 1], px
     """
 
     counts: AnyFloats
@@ -75,7 +75,7 @@ class Exposure:
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """All that a scene is restored from.
+    """Photographs and lenses from which a scene is restored.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ class Job:
 
     @property
     def nyquist_samples(self) -> int:
-        """Samples of a pixel that hold all frequencies that the lens passes."""
+        """Samples of a pixel, enough for all frequencies within the lens's cutoff."""
         optics = [colour.optics for colour in self.colours]
         nyquist_um = min(o.airy_um * o.shortest / (2 * o.rim.reach) for o in optics)
         return math.ceil(self.pitch_um / nyquist_um * (1 - 1e-9))
@@ -208,7 +208,7 @@ def middle_of(area: Area) -> tuple[float, float]:
 
 
 def begun_at(motion: Floats, origin: Floats) -> Floats:
-    """Return a motion in coordinates that begin at an origin (2,)."""
+    """Return a motion in coordinates with another origin (2,)."""
     moved = motion.copy()
     moved[:, 2] += motion[:, :2] @ origin
     return moved

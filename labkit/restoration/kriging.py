@@ -83,7 +83,7 @@ class Kriging:
         self._invert()
 
     def _invert(self) -> None:
-        """Invert `apply` for the case that all counts are used and equally good."""
+        """Invert `apply` for all counts used and equally good."""
         blocks = self._blocks()
         inverse = np.linalg.inv(blocks) if blocks.shape[-1] > 1 else 1 / blocks
         self.nearly: Complexes = np.asarray(np.moveaxis(inverse, (2, 3), (0, 1)), complex)
@@ -173,7 +173,7 @@ class Kriging:
         return between
 
     def _nearly(self, planes: Floats) -> Floats:
-        """Return the inverse of `apply` for the case that all counts are used and equally good."""
+        """Return the inverse of `apply` for all counts used and equally good."""
         return np.where(self.used, self._convolved(self._roughly, planes), 0.0)
 
     def _convolved(self, kernels: AnyComplexes, planes: Floats) -> AnyFloats:

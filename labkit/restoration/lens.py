@@ -1,4 +1,4 @@
-"""The lens that a session measured, in each colour, carried to another range (thesis (4.40) corrected)."""
+"""A session's lens, in each colour, carried to another range (thesis (4.40) corrected)."""
 
 from __future__ import annotations
 

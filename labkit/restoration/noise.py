@@ -1,4 +1,4 @@
-"""A photograph's own noise, for one that another camera took, or at another sensitivity, than the session's.
+"""A photograph's own noise, for another camera or sensitivity than the session's.
 
 Photon transfer within one picture: second differences leave noise and little of the scene, and of the squares of one brightness
 those that vary least show noise alone (A. Foi et al., IEEE Trans. Image Process. 17, 1737 (2008), in the simplest form).
@@ -31,7 +31,7 @@ def own_noise(
 ) -> tuple[float, float] | None:
     """Return (gain in counts per electron, read variance in counts squared) of a colour; None for too small or dark a picture.
 
-    In a scene that is rough everywhere this is an upper bound, for the roughness passes for noise.
+    In a scene without even areas this is an upper bound, for the roughness passes for noise.
     """
     planes = [(slice(r, None, period), slice(c, None, period)) for r, c in colour.places]
     squares = [

@@ -54,7 +54,7 @@ def write(
     folder : to write to, made if necessary
     canvas : scene and errors
     about : content of restore.json
-    white : counts above black that 16-bit numbers reach to; None for no such file
+    white : counts above black at the greatest 16-bit number; None for no such file
 
     Raises
     ------

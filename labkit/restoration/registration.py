@@ -1,4 +1,4 @@
-"""Where photographs of one scene stand beside one another."""
+"""Motions between photographs of the same scene."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def registered(
 ) -> Floats:
     """Return the motion (2, 3) of a photograph from the first one, see `Exposure`: a shift, by correlation of grey cells.
 
-    places: of the cell's pixels that are looked at, all by default. It is right to some tenths of a pixel, since cells alias:
+    places: of the cell's pixels to compare, all by default. It is right to some tenths of a pixel, since cells alias:
     `refined` goes on from there. G. Evangelidis and E. Psarakis, IEEE Trans. PAMI 30, 1858 (2008). Raises DataError where
     they do not show the same.
     """

@@ -76,7 +76,7 @@ class Wanted:
 
 @dataclass(frozen=True)
 class Restoration:
-    """The folder that was written, the content of restore.json, and notes."""
+    """The written folder, the content of restore.json, and notes."""
 
     folder: Path
     about: dict[str, Any]
@@ -95,7 +95,7 @@ def restore_images(
     say: Say = lambda text: None,
     progress: Progress = no_progress,
 ) -> Restoration:
-    """Restore photographs of one scene, from one range, with a session's lens.
+    """Restore photographs of a scene, from a range, with a session's lens.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The roughness of a scene that neither its scale nor its level changes, with its derivatives (thesis, Appendix K)."""
+"""The roughness of a scene, independent of its scale and level, with its derivatives (thesis, Appendix K)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Norm:
 class Roughness:
     """strength times R(f) = f^T Q f / |f - mean|^2: (K.11) with no reference image; Q weighs frequencies by w^2.
 
-    The mean and the norm are taken over what the data see. Over all of the torus, as printed, a smooth swelling where no data
+    The mean and the norm are taken over the frame. Over all of the torus, as printed, a smooth swelling where no data
     contradict it, beyond the frame or where all is clipped, would make the norm larger and R less without end.
     strength: lambda; frequencies in radians a pixel. coupling: (components, components) by which colours' roughness is
     weighed, the inverse of their covariance in scenes. held: the norm of a larger scene that this is a tile of: then the

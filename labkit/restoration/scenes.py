@@ -53,7 +53,7 @@ def restore(
 
     Parameters
     ----------
-    photographs : one photograph, several of one scene, or a session's folder
+    photographs : a photograph, several of the same scene, or a session's folder
     psf : folder of the session whose lens took them; None for the session given
     out : folder to make; by default beside the photograph, or in the session's results
     name : name of the session's results
@@ -66,8 +66,8 @@ def restore(
     fit_defocus : whether to estimate the photographs' own defocus
     force : whether to take the PSF though camera, aperture or colour is another
     sixteen_bit : whether to write a linear 16-bit TIFF too
-    memory_gb : largest memory to use; by default what is free
-    workers : number of processes, by default one for each core
+    memory_gb : largest memory to use; by default the free memory
+    workers : number of processes, by default as many as cores
     progress : called as the work goes on
 
     Returns

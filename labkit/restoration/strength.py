@@ -18,7 +18,7 @@ from labkit.types import Floats
 LONGEST_PX = 120.0  # period of waves, longer than which the pull to the mean decides
 SMOOTH = 1.0  # cells, of counts that estimate their own variance
 LEAST, MOST = -6.0, 4.0
-"""Decades of the stiffness, about that at which the penalty is as stiff as the data are at PER_PX."""
+"""Decades of the stiffness, about equal stiffness of penalty and data at PER_PX."""
 
 PER_PX = 0.25  # cycles
 EXACT, SCORE_STRIDE = 0.02, 0.25  # decades
@@ -41,7 +41,7 @@ class Strength:
 
 
 class Trial:
-    """One part of the photograph, solved for any stiffness. power: as of `Stiffness`."""
+    """A part of the photograph, solved for any stiffness. power: as of `Stiffness`."""
 
     def __init__(
         self, views: Views, coupling: Floats, rng: np.random.Generator, power: float = 1.0
@@ -93,7 +93,7 @@ class Choice:
 def choose(
     parts: Sequence[Views], coupling: Floats, how: Choice, rng: np.random.Generator
 ) -> Strength:
-    """Choose the strength by parts of a photograph together. rng: draws the signs that estimate a trace."""
+    """Choose the strength by parts of a photograph together. rng: draws signs to estimate a trace."""
     trials = [Trial(views, coupling, rng) for views in parts]
     unit = max(trial.unit for trial in trials)
     return Strength(unit * 10 ** how.decade(trials, unit), how.name)

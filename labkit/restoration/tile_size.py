@@ -1,4 +1,4 @@
-"""The size and number of tiles that memory allows."""
+"""The size and number of tiles within memory."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SHARE_OF_FREE, SHARE_OF_ALL = 0.8, 0.5  # of available memory, and of all memory
 
 @dataclass(frozen=True)
 class TilePlan:
-    """A job's tiles: their side, and the number of processes that restore them."""
+    """A job's tiles: their side, and the number of processes."""
 
     job: Job
     tile_px: int

@@ -1,7 +1,7 @@
 """Which arrays are kept beside results.json, of sessions of few fits and of thousands: PSFs and residuals.
 
 Every fit keeps its PSF, and every fit its residuals while there is room. Beyond, windows of PSFs
-become narrower, and residuals are those of doubtful fits and of a sample.
+become narrower, and residuals are kept of doubtful fits and of a sample.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Named = Iterator[tuple[str, npt.NDArray[Any]]]
 
 
 def psfs(wavefronts: Sequence[Wavefront]) -> Named:
-    """Yield the spacing, um, and PSFs of the optics alone on one grid for all: unit sum, centred, odd."""
+    """Yield the spacing, um, and PSFs of the optics alone on a common grid: unit sum, centred, odd."""
     airy_um = [w.wavelength_nm * 1e-3 * w.f_number for w in wavefronts]
     spacing_um = min(airy_um) / PSF_SAMPLES_PER_AIRY
     yield "spacing_um", np.array(spacing_um)
@@ -59,7 +59,7 @@ def residuals(wavefronts: Sequence[Wavefront]) -> Named:
 
 
 def with_residuals(wavefronts: Sequence[Wavefront]) -> list[Wavefront]:
-    """Return the wavefronts whose residuals are kept, in order: all, or doubtful fits and a sample that fill the room."""
+    """Return the wavefronts whose residuals are kept, in order: all, or doubtful fits and a sample within the room."""
     have = [k for k, w in enumerate(wavefronts) if w.residuals is not None]
     doubtful = [k for k in have if _is_doubtful(wavefronts[k])]
     sound = [k for k in have if not _is_doubtful(wavefronts[k])]
@@ -83,7 +83,7 @@ def _is_doubtful(w: Wavefront) -> bool:
 
 
 def _bytes(w: Wavefront) -> int:
-    """Return what a wavefront's residuals take in the file."""
+    """Return the size of a wavefront's residuals in the file."""
     assert w.residuals is not None
     itemsize = np.dtype(KEPT_NUMBER).itemsize
     return len(RESIDUAL_PARTS) * itemsize * w.residuals.data.size

@@ -26,8 +26,8 @@ SHARE = 0.8
 class BestFocus:
     """A wavefront at best focus, the focus of zero Noll defocus.
 
-    The numbers are of the optics alone and belong to the lens, not to the range that was photographed. Each number is
-    computed when it is first asked for, and kept. Twins, which differ in the sign of the even modes, have the same numbers.
+    The numbers are of the optics alone and belong to the lens, not to the photographed range. Each number is
+    computed on first use, and kept. Twins, which differ in the sign of the even modes, have the same numbers.
 
     Parameters
     ----------
@@ -94,14 +94,14 @@ class BestFocus:
     def mtf_at(
         self, frequency_per_mm: float, direction: Direction | float = "x"
     ) -> Uncertain:
-        """MTF of the optics alone at one frequency, cycles/mm."""
+        """MTF of the optics alone at a frequency, cycles/mm."""
         curve = self.mtf(frequency_per_mm, direction)
         return Uncertain(float(curve.value), float(curve.std))
 
     def mtf50(
         self, direction: Direction | float = "x", active_um: float | None = None
     ) -> Uncertain:
-        """Lowest frequency at which the MTF is one half, cycles/mm.
+        """Lowest frequency at which the MTF is 0.5, cycles/mm.
 
         Parameters
         ----------
@@ -114,7 +114,7 @@ class BestFocus:
         )
 
     def energy_radius(self, share: float = SHARE) -> Uncertain:
-        """Radius, um, of the circle about the centroid that holds a share of the energy, at most 0.99."""
+        """Radius, um, of the circle about the centroid with a share of the energy, at most 0.99."""
         return self._once(("energy", share), lambda: radius_of_energy(self.fitted, share))
 
     def psf(self, spacing_um: float, size: int | None = None) -> Floats:

@@ -38,7 +38,7 @@ from labkit.results.kept import Noll, Number, Range, Text
 
 @dataclass(frozen=True)
 class MadeFrom:
-    """Inputs of a fit beside the plan, and what came of them.
+    """Inputs of a fit in addition to the plan, and their outcome.
 
     Attributes
     ----------
@@ -46,10 +46,10 @@ class MadeFrom:
     numerics_sha256 : of the source of labkit's numerics
     own_plan : whether the plan is the session's own
     ranges_mm, channels, noll : as `labkit.fit` has them
-    patience_s : processor time of one search; inf without a limit
+    patience_s : processor time of a search; inf without a limit
     joint, split, plain : as `labkit.fit` has them
-    failed : for each fit that failed, a sentence with the reason
-    failed_accepted : whether the user accepts the results without those fits
+    failed : for each failed fit, a sentence with the reason
+    failed_accepted : whether the user accepts the results without failed fits
     """
 
     frames_sha256: str
@@ -71,13 +71,13 @@ class MadeFrom:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Settings to make the results again, by the names that `labkit.fit` gives them; without the plan."""
+        """Settings to make the results again, by the names of `labkit.fit`; without the plan."""
         names = ("ranges_mm", "channels", "noll", "patience_s", "joint", "split", "plain")
         return {name: getattr(self, name) for name in names}
 
 
 class MadeFromEntry(Entry):
-    """The entry of what results were made from."""
+    """The entry of the inputs of results."""
 
     frames_sha256: Text
     numerics_sha256: Text
@@ -105,7 +105,7 @@ class BladesEntry(Entry):
 
 
 class CircleEntry(Entry):
-    """A circle that cuts the pupil."""
+    """A circle by which the pupil is cut."""
 
     shift: Annotated[Finite, Field(ge=0, le=5)]
     size: Annotated[Finite, Field(gt=0, le=10)] = Field(alias="radius")
@@ -127,7 +127,7 @@ def _cut_entry(cut: Cut) -> dict[str, Any]:
 
 
 class PupilEntry(Entry):
-    """The rim of a pupil that is no clear disc."""
+    """The rim of a pupil other than a clear disc."""
 
     cuts: Annotated[
         tuple[Annotated[Cut, Kept(BladesEntry | CircleEntry, _cut, _cut_entry)], ...],
@@ -206,7 +206,7 @@ def _pupil_entry(results: Results, lens: Lens) -> dict[str, Any]:
 
 
 class StatedEntry(Entry):
-    """A number that was known before the session."""
+    """A number known before the session."""
 
     value: Finite
     std: Finite

@@ -30,7 +30,7 @@ class Distortion:
     residual_px: float
 
     def as_json(self) -> dict[str, Any]:
-        """Return the numbers with their errors; without those that are None."""
+        """Return the numbers with their errors; without None."""
         numbers: dict[str, Any] = {"k1_per_mm2": self.k1_per_mm2.as_json()}
         if self.k2_per_mm4 is not None:
             numbers["k2_per_mm4"] = self.k2_per_mm4.as_json()

@@ -1,4 +1,4 @@
-"""How values are kept in JSON: tables whose fields are named as the attributes that they keep, numbers, arrays."""
+"""How values are kept in JSON: tables with fields named as attributes, numbers, arrays."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ class Kept:
 
     Attributes
     ----------
-    kind : type of what is in the file
-    read, write : functions from that to the value, and back
+    kind : type of the value in the file
+    read, write : functions from the file's value, and back
     """
 
     kind: Any
@@ -45,7 +45,7 @@ class Kept:
 
 
 class Entry(BaseModel):
-    """A table of results.json. Keys that are not known, of a later labkit, are left out."""
+    """A table of results.json. Unknown keys, of a later labkit, are left out."""
 
     model_config = ConfigDict(strict=True, frozen=True, protected_namespaces=())
 
@@ -80,7 +80,7 @@ def number(value: float | None) -> float:
 
 
 def null(value: float) -> float | None:
-    """Return a number; None for one that is not finite."""
+    """Return a number; None if not finite."""
     return float(value) if isfinite(value) else None
 
 
@@ -90,7 +90,7 @@ def numbers(values: Any) -> Floats:
 
 
 def listed(values: Floats) -> Any:
-    """Return nested lists of numbers, None for those that are not finite."""
+    """Return nested lists of numbers, None for numbers not finite."""
     values = np.asarray(values, float)
     if values.ndim > 1:
         return [listed(row) for row in values]
@@ -104,7 +104,7 @@ def rounded(places: int) -> Kept:
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Maybe = Finite | None
-"""null stands for what is not finite, or not known."""
+"""null stands for a number not finite, or not known."""
 
 Number = Annotated[float, Kept(Maybe, number, null)]
 Std = Annotated[Finite, Field(ge=0)] | None

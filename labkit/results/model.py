@@ -1,6 +1,6 @@
 """The results of a session: a wavefront for each range and channel, and best focus.
 
-A fit makes the same objects that are read back from its folder.
+A fit makes the same objects as are read back from its folder.
 """
 
 from __future__ import annotations
@@ -49,11 +49,11 @@ class OptimumTest:
     Attributes
     ----------
     name : the decisive evidence: "residuals", "session", "starts" (many starts reached this optimum), or "parts" (a fit with
-        parts of the camera that the model lacks explains the residuals)
+        parts of the camera beyond the model explains the residuals)
     accepted : whether the optimum is global
     p_value : chance of residuals as large as these
     starts : number of starts
-    undetermined : combinations of modes that the frames do not determine, in words
+    undetermined : combinations of modes not determined by the frames, in words
     others : other optima, the likeliest first
     explains : whether the residuals are noise alone, so that the model explains the data; independent of `accepted`
     """
@@ -143,9 +143,9 @@ class Placement:
 
 @dataclass(frozen=True)
 class Wavefront:
-    """The wavefront of one channel at one range, estimated from one or more photographs.
+    """The wavefront of a channel at a range, estimated from photographs.
 
-    range_mm: as the plan states it, None where it is unknown; measured_range_mm: where the rail was read to stand. noll: the
+    range_mm: as stated by the plan, None where unknown; measured_range_mm: where the rail was read to stand. noll: the
     modes; waves: (modes,) OPD in waves RMS at reference_wavelength_nm; covariance: (modes, modes). f_number, f_number_std: of
     the cone that reaches the sensor. blur: diameter of defocus's geometric blur on the sensor, um, negative before best focus,
     8 N times the peak to valley of defocus: known better than defocus in waves, which hangs on the f-number.
@@ -208,7 +208,7 @@ class Wavefront:
             raise ValueError(f"{self.key.label} has poses of shape {self.poses.shape}")
 
     def __getitem__(self, mode: int) -> Uncertain:
-        """The coefficient of a Noll mode, waves RMS. Raises KeyError for a mode that was not estimated."""
+        """The coefficient of a Noll mode, waves RMS. Raises KeyError for a mode not estimated."""
         if mode not in self.noll:
             raise KeyError(
                 f"Noll mode {mode}: estimated are {self.noll[0]} to {self.noll[-1]}"
@@ -243,7 +243,7 @@ class Wavefront:
 
     @property
     def defocus(self) -> Uncertain | None:
-        """Noll mode 4, waves RMS, where it was estimated."""
+        """Noll mode 4, waves RMS, where estimated."""
         return self[4] if 4 in self.noll else None
 
     @property
@@ -288,7 +288,7 @@ class Wavefront:
         return strehl(self.fitted)
 
     def at_focus(self) -> FittedWavefront:
-        """The wavefront without its defocus, with its covariance; `best` has the numbers of it."""
+        """The wavefront without its defocus, with its covariance; `best` has its numbers."""
         return at_focus(self.fitted)
 
     def rms(self, without: tuple[int, ...] = ()) -> Uncertain:
@@ -367,13 +367,13 @@ class Focus:
                 )
 
     def residuals(self, channel: str) -> list[Uncertain]:
-        """Defocus residuals of a channel's ranges, waves RMS; an error that is not known is nan."""
+        """Defocus residuals of a channel's ranges, waves RMS; an unknown error is nan."""
         rest = self.residual_waves.get(channel, ())
         std = self.residual_std_waves.get(channel, (nan,) * len(rest))
         return [Uncertain(*pair, "waves") for pair in zip(rest, std, strict=True)]
 
     def __getitem__(self, channel: str) -> Uncertain:
-        """Best focus of a channel, mm. Raises KeyError for a channel that was not fitted."""
+        """Best focus of a channel, mm. Raises KeyError for a channel not fitted."""
         if channel not in self.best_focus_mm:
             raise KeyError(
                 f"channel {channel!r}: fitted are {', '.join(self.best_focus_mm)}"
@@ -405,13 +405,13 @@ LN_MAGNIFICATION = "ln_pupil_magnification"
 BEST_FOCUS_MM = "best_focus_mm"
 COLOUR_UM = "colour_um"
 MODE_WAVES = "waves"
-"""Names of numbers. `waves.G.7`: Noll mode 7 of G; `colour_um.R`: focal length of R less that of the leading channel;
-`best_focus_mm.G`: that of the leading channel."""
+"""Names of numbers. `waves.G.7`: Noll mode 7 of G; `colour_um.R`: focal length of R less the leading channel's;
+`best_focus_mm.G`: of the leading channel."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StatedNumber:
-    """A number that was known before the session, and its part in the errors.
+    """A number known before the session, and its part in the errors.
 
     value, std: as known before. moves: (n,) changes of the common numbers for a change of
     this number by one standard error.

@@ -46,10 +46,10 @@ class Results:
     ``low_pass_filter.spread_px``; parts_tried: which parts the photographs were asked about. widest_light_nm: the largest
     standard deviation that they allow each channel's light, with 95 % confidence, where the plan states no spectrum or names a
     kind of light.
-    findings: remarks on the numbers; `warnings` are the texts of those that warn.
+    findings: remarks on the numbers; `warnings` are the texts of warning findings.
     common: numbers of the lens with their joint covariance, for comparison with another session; None without a lens.
-    unanswered: requested quantities that the frames cannot determine; findings say it too. made_from: inputs,
-    settings and failed fits; None where an earlier labkit made the results. folder: where it is kept. field: the wavefront over
+    unanswered: requested quantities not determined by the frames; findings say so too. made_from: inputs,
+    settings and failed fits; None where an earlier labkit made the results. folder: its place. field: the wavefront over
     the frame, where there are tiles; else None. geometry: distortion and lateral colour by the places of a grid's tiles, or
     None.
 
@@ -108,12 +108,12 @@ class Results:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """The texts of the findings that warn."""
+        """The texts of warning findings."""
         return tuple(finding.text for finding in self.findings if finding.warns)
 
     @property
     def named_lights(self) -> dict[str, ChannelLight]:
-        """The light of each channel whose plan names it, by the tables that come with labkit."""
+        """The light of each channel whose plan names it, by labkit's tables."""
         named = {name: self.plan.named_light(name) for name in self.channels}
         return {name: light for name, light in named.items() if light is not None}
 
@@ -124,7 +124,7 @@ class Results:
 
     @property
     def ranges_mm(self) -> tuple[float | None, ...]:
-        """Each range once, ascending; wavefronts without one come first."""
+        """Each range once, ascending; wavefronts without a range come first."""
         ranges = {w.range_mm for w in self.wavefronts}
         return tuple(sorted(ranges, key=lambda r: -inf if r is None else r))
 
@@ -134,17 +134,17 @@ class Results:
         return tuple(dict.fromkeys(w.channel for w in self.wavefronts))
 
     def at_range(self, range_mm: float | None) -> tuple[Wavefront, ...]:
-        """The wavefronts of one range."""
+        """The wavefronts of a range."""
         return tuple(w for w in self.wavefronts if same_range(w.range_mm, range_mm))
 
     def of_channel(self, channel: str) -> tuple[Wavefront, ...]:
-        """The wavefronts of one channel."""
+        """The wavefronts of a channel."""
         return tuple(w for w in self.wavefronts if w.channel == channel)
 
     def best_known(self, channel: str) -> Wavefront:
         """Return a channel's wavefront with the least variance of all modes but defocus; accepted ones first.
 
-        Raises DataError for a channel that was not fitted.
+        Raises DataError for a channel not fitted.
         """
         return min(
             self._of(channel),
@@ -154,7 +154,7 @@ class Results:
     def nearest_focus(self, channel: str) -> Wavefront:
         """Return a channel's wavefront of least defocus; accepted ones first. The report shows its `best`.
 
-        Raises DataError for a channel that was not fitted.
+        Raises DataError for a channel not fitted.
         """
         return min(self._of(channel), key=lambda w: (not w.accepted, _defocus(w)))
 

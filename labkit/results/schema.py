@@ -1,7 +1,7 @@
 """results.json: one definition of what each key holds, by which files are checked, read and written.
 
 A field is named as the attribute that it keeps; its alias is the key in the file, and its type says how the value is kept.
-Files of schema 1 to 3 are read, and 3 is written. A file that was altered ends in one line that names the key. Bounds are
+Files of schema 1 to 3 are read, and 3 is written. An altered file ends in a line with the key's name. Bounds are
 those of the plan where it has them, or far beyond any lens: no number in a file makes a report or a restoration take the
 machine's memory.
 """
@@ -229,7 +229,7 @@ class WavefrontEntry(Entry):
 
     @property
     def identity(self) -> Key:
-        """The wavefront's key. Raises ValueError for one that is of no channel."""
+        """The wavefront's key. Raises ValueError for an entry without a channel."""
         if "key" not in self.model_fields_set:
             return Key(self.range_mm, self.channel)
         if self.key is None:
@@ -364,7 +364,7 @@ def _field_entry(results: Results) -> FieldEntry | None:
 
 
 class PartTriedEntry(Entry):
-    """A part of the camera that the photographs were asked about."""
+    """A tested part of the camera."""
 
     name: Name = Field(alias="part")
     gain: Tenths

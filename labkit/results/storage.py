@@ -119,7 +119,7 @@ def read(folder: Path, name: str, *, residuals: bool = True) -> dict[str, Any]:
 
 
 def kept_keys(folder: Path) -> set[Key]:
-    """Keys of the wavefronts whose results a folder holds; empty where it holds none that can be read.
+    """Keys of the wavefronts whose results a folder holds; empty without readable results.
 
     Raises NewerError.
     """
@@ -149,7 +149,7 @@ def kept_content(folder: Path) -> Content | None:
 
 
 def accept_failed_fits(folder: Path) -> None:
-    """Record in a folder's results.json that the user accepts the results without the fits that failed.
+    """Record in a folder's results.json that the user accepts the results without failed fits.
 
     Raises InputError where the folder cannot be written to.
     """
@@ -161,7 +161,7 @@ def accept_failed_fits(folder: Path) -> None:
 
 
 def set_aside_corrupt(folder: Path) -> Path | None:
-    """Rename results.json to results.json.corrupt if it cannot be read; return the new path, or None.
+    """Rename results.json to results.json.corrupt if unreadable; return the new path, or None.
 
     Raises NewerError, and InputError where the folder cannot be written to.
     """
@@ -187,7 +187,7 @@ def _refuse_newer(path: Path, schema: Any) -> None:
 
 
 def _schema(text: str) -> Any:
-    """Return the number of a file's schema; None where it states none. Raises ValueError for what is no JSON."""
+    """Return the number of a file's schema; None where it states none. Raises ValueError for other content than JSON."""
     entry = json.loads(text)
     return entry.get("schema") if isinstance(entry, dict) else None
 

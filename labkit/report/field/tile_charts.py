@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from math import nan
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -168,7 +169,7 @@ def held_out_map(results: Results, frame: FieldFrame, sight: TileSight) -> Figur
     for wavefront in results:
         if wavefront.tile in squares and wavefront.pulls is not None:
             squares[wavefront.tile].append(float(np.mean(wavefront.pulls**2)))
-    rms = {tile: np.mean(of or [np.nan]) ** 0.5 for tile, of in squares.items()}
+    rms = {tile: float(np.mean(of or nan)) ** 0.5 for tile, of in squares.items()}
     title = "pulls of tiles held out"
     return tile_map(frame, sight, rms, sight.doubtful, title, "σ RMS")
 
@@ -177,7 +178,8 @@ def place_pulls_map(geometry: FieldGeometry, sight: TileSight) -> Figure:
     """Draw the RMS of each tile's pulls over all ranges and channels; flagged: tiles set apart in any."""
     every = np.array([place.tile for place in geometry.model.places])
     own = {tile: np.all(every == tile, axis=1) for tile in sight.fits}
-    rms = {tile: np.mean(geometry.pulls[at] ** 2) ** 0.5 for tile, at in own.items()}
+    squares = {tile: geometry.pulls[at] ** 2 for tile, at in own.items()}
+    rms = {tile: float(np.mean(of)) ** 0.5 for tile, of in squares.items()}
     flagged = {tile for tile, at in own.items() if np.any(geometry.fit.apart[at])}
     frame = geometry.model.frame
     return tile_map(frame, sight, rms, flagged, "pulls of the places", "σ RMS")
