@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import fourier_shift
@@ -10,12 +11,16 @@ from scipy.optimize import minimize
 
 from labkit.drivers.simulated.optics import REFERENCE_NM, point_spread, working_f_number
 from labkit.drivers.simulated.world import TrueLens, Truth
-from labkit.optics.metrics import psf
+from labkit.optics.metrics import psf, psf_value
+from labkit.optics.wavefront import FittedWavefront
 from labkit.results import Results, Wavefront
 from labkit.types import Floats
 
 SAMPLES_PER_AIRY, REACH = 4, 96
 """To lambda N, and from the middle: a window of 48 lambda N, whose light sums to one in both PSFs."""
+
+DRAWS = 60
+"""Wavefronts drawn from the errors of one: a chance is known to 0.06."""
 
 
 def psf_errors(results: Results, lens: TrueLens, truth: Truth) -> list[list[float]]:
@@ -39,6 +44,47 @@ def _error(w: Wavefront, lens: TrueLens, waves: Mapping[int, float]) -> tuple[fl
     stated = float(np.sqrt(2 / np.pi) * ours.std.sum())
     moved = moved_to_fit(true / true.sum(), ours.value)
     return float(np.abs(ours.value - moved).sum()), stated
+
+
+def psf_chance(w: Wavefront, lens: TrueLens, truth: Truth, seed: int) -> float:
+    """Return the chance of a PSF error smaller than the true one, by the stated errors of modes and cone.
+
+    Uniform over many sessions where errors are as stated. The light is the fit's: what its unknown width adds to stated errors
+    is left out. Errors are L1, without the shift of the PSF.
+
+    Parameters
+    ----------
+    w : a wavefront of the session
+    seed : of the drawn wavefronts
+    """
+    rng = np.random.default_rng(seed)
+    fitted = w.fitted
+    assert w.range_mm is not None
+    spacing_um = fitted.wavelength_um * fitted.f_number / SAMPLES_PER_AIRY
+    ours = psf_value(fitted, spacing_um, 2 * REACH + 1)
+    true = true_psf(lens, w.channel, truth.waves(w.range_mm, w.channel), spacing_um)
+    error = _without_shift(moved_to_fit(true / true.sum(), ours) - ours, ours)
+    smaller = sum(
+        _without_shift(psf_value(one, spacing_um, 2 * REACH + 1) - ours, ours) < error
+        for one in _drawn(fitted, rng)
+    )
+    return (smaller + 0.5) / (DRAWS + 1)
+
+
+def _drawn(fitted: FittedWavefront, rng: np.random.Generator) -> Iterator[FittedWavefront]:
+    """Yield wavefronts drawn from the errors of one; modes that the data leave open stay as they are."""
+    known = np.isfinite(np.diag(fitted.covariance))
+    covariance = np.where(np.outer(known, known), fitted.covariance, 0.0)
+    for waves in rng.multivariate_normal(fitted.waves, covariance, DRAWS):
+        f_number = fitted.f_number + fitted.f_number_std * rng.standard_normal()
+        yield replace(fitted, waves=waves, f_number=f_number)
+
+
+def _without_shift(change: Floats, psf_values: Floats) -> float:
+    """Return the summed absolute change of a PSF, less the shift that fits it best by least squares."""
+    slopes = np.stack([slope.ravel() for slope in np.gradient(psf_values)], axis=1)
+    shift, *_ = np.linalg.lstsq(slopes, change.ravel(), rcond=None)
+    return float(np.abs(change.ravel() - slopes @ shift).sum())
 
 
 def true_psf(

@@ -205,6 +205,12 @@ def draw_with_parts(seed: int, index: int) -> Drawn:
     )
 
 
+def draw_silent(seed: int, index: int) -> Drawn:
+    """Draw the session that `draw` has of that number, whose plan says nothing of the lens's modes."""
+    drawn = draw(seed, index)
+    return replace(drawn, plan=drawn.plan.replace(fit={"zernike_noll": None}))
+
+
 def draw_as_made(seed: int, index: int) -> Drawn:
     """The session that `draw` has of that number, through a lens as it is made, of which its plan says nothing.
 
@@ -249,6 +255,7 @@ KINDS: dict[str, Callable[[int, int], Drawn]] = {
     "many-modes-37-one-wave-blades": partial(draw_strong, waves=1.0, pupil=SEVEN_BLADES),
     "many-modes-37-one-wave-cats-eye": partial(draw_strong, waves=1.0, pupil=CATS_EYE),
     "with-parts": draw_with_parts,
+    "silent": draw_silent,
     "as-made": draw_as_made,
     "real-lens": draw_real_lens,
 }

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.psf_errors import psf_errors
+from benchmarks.psf_errors import psf_chance, psf_errors
 from benchmarks.random_sessions import draw
 from labkit.drivers.simulated.optics import working_f_number
 from labkit.drivers.simulated.pupil import Pupil
@@ -78,3 +78,12 @@ def test_a_pupil_that_the_fit_lacks_is_in_the_error() -> None:
     ((error, stated),) = psf_errors(results(TRUE), made, TRUTH)
     assert error == pytest.approx(0.2, rel=0.2)
     assert error > 4 * stated
+
+
+@pytest.mark.parametrize(("stds", "least", "most"), [(0.0, 0.0, 0.05), (8.0, 0.95, 1.0)])
+def test_the_chance_of_a_psf_says_how_large_its_error_is(
+    stds: float, least: float, most: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("benchmarks.psf_errors.DRAWS", 12)
+    (wavefront,) = results(TRUE + stds * STD / TRUE.size**0.5).wavefronts
+    assert least < psf_chance(wavefront, LENS, TRUTH, 1) < most

@@ -19,7 +19,8 @@ from benchmarks.random_sessions import (
     draw_many_modes,
     draw_with_parts,
 )
-from benchmarks.sessions import compared, parts_table, psf_table, read, table
+from benchmarks.session_tables import parts_table, psf_table, table
+from benchmarks.sessions import compared, read
 from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.parts import LowPassFilter, Smear, Veil
 from labkit.drivers.simulated.pupil import Pupil
@@ -326,14 +327,18 @@ def test_a_cats_eye_changes_neither_f_number_nor_modes() -> None:
 
 def test_psfs_are_summed_up() -> None:
     lines: list[dict[str, Any]] = [
-        {"failed": None, "psf": [[0.02, 0.01], [0.01, 0.02]]},
-        {"failed": None, "psf": [[0.05, 0.01]]},
+        {"failed": None, "psf": [[0.02, 0.01], [0.004, 0.008]], "psf_chance": 0.5},
+        {"failed": None, "psf": [[0.05, 0.01]], "psf_chance": 0.8413},
         {"failed": "no target"},
     ]
-    assert [*psf_table(lines)] == [
-        "PSFs: L1 errors of 2 % in the median, 5 % at most; over the stated error 2.00 in the "
-        "median, more than 2 in 1 of 3"
-    ]
+    sums, chances = psf_table(lines)
+    assert sums == (
+        "PSFs: L1 errors of 2 % in the median, 5 % at most, 33% below 0.5 %; over the stated error "
+        "2.00 in the median, more than 2 in 1 of 3"
+    )
+    assert chances.startswith(
+        "PSF's L1 among those of the wavefront's errors, one a session: n 2, mean 0.50, std 0.50"
+    )
     assert [*psf_table([{"failed": None}])] == []
 
 
@@ -390,14 +395,45 @@ def test_parts_are_counted_as_found_missed_standing_in_or_invented() -> None:
         line(["diffusion_px"], ["low_pass_filter"], diffusion=0.0),
         line(["veil"], ["veil", "spectrum"]),
     ]
+    for index, one in enumerate(lines):
+        one["index"] = index
     said = dict(words.split(": ", 1) for words in parts_table(lines))
-    assert said["low_pass_filter"].startswith(
-        "found in 1 of the 2 that have it, missed in 1;"
-    )
-    assert said["low_pass_filter"].endswith(
-        "stands in for another blur in 1, is invented in 0"
+    assert said["low_pass_filter"] == (
+        "found in 1 of the 2 that have it, missed in 1 (1); "
+        "absent, it stands in for another part in 1, is invented in 0"
     )
     assert said["diffusion"].startswith("found in 0 of the 2 that have it, missed in 0;")
     assert said["spectrum"].endswith(
-        "the other 4 it stands in for another blur in 0, is invented in 1"
+        "stands in for another part in 0, is invented in 1 (3)"
     )
+
+
+def test_parts_of_a_lens_as_made_are_counted_too() -> None:
+    def line(made: dict[str, Any], found: list[str], **gains: float) -> dict[str, Any]:
+        return {"failed": None, "as_made": made, "found": found, "gains": gains}
+
+    higher = ["modes_16_21", "modes_22_28", "modes_29_36"]
+    lines = [
+        line({"higher_waves": 0.02, "blades": 7}, ["blades_7", *higher]),
+        line({"higher_waves": 0.02, "blades": 6}, ["blades_9"], modes_16_21=30.0),
+        line({"cats_eye": [0.3, 1.0, 60.0]}, ["uneven_rim"], cats_eye=5.0),
+        {"failed": None, "found": ["obstruction"], "gains": {}},
+    ]
+    lines = [{**one, "index": index} for index, one in enumerate(lines)]
+    said = dict(words.split(": ", 1) for words in parts_table(lines))
+    assert said["modes_16_21"].startswith(
+        "found in 1 of the 2 that have it, missed in 1 (1);"
+    )
+    assert said["blades"] == (
+        "found in 1 of the 2 that have it, missed in 0; "
+        "absent, it stands in for another part in 1, is invented in 0"
+    )
+    assert said["uneven_rim"].endswith("another part in 1, is invented in 0")
+    assert said["cats_eye"].startswith("found in 0 of the 1 that have it, missed in 0;")
+    assert said["obstruction"].endswith("is invented in 1 (3)")
+
+
+def test_a_plan_that_is_silent_of_modes_changes_nothing_else(drawn: list[Drawn]) -> None:
+    one = KINDS["silent"](1, 7)
+    assert one.plan == drawn[7].plan.replace(fit={"zernike_noll": None})
+    assert one.settings == drawn[7].settings
