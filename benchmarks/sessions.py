@@ -47,8 +47,8 @@ WRONG_WAVES = 0.03
 class Job:
     """A session of a study, to be made and fitted. keep: the folder for sessions that are not thrown away.
 
-    plain: fitted as its plan has it, whatever the camera has besides. limit_s: seconds after which a fit is ended and the
-    session counts as failed; 0 for no limit.
+    plain: fitted as its plan has it, whatever the camera has besides. limit_s: processor time after which a fit is ended
+    and the session counts as failed; 0 for no limit.
     """
 
     study: str
@@ -56,7 +56,7 @@ class Job:
     index: int
     keep: Path | None
     plain: bool = False
-    limit_s: int = 0
+    limit_s: float = 0
 
 
 def run(job: Job) -> Line:
@@ -70,7 +70,7 @@ def run(job: Job) -> Line:
         made = time.perf_counter()
         line = _described(job, drawn) | {"failed": None}
         try:
-            with _ended_after(job.limit_s):
+            with ended_after(job.limit_s):
                 labkit.fit(folder, workers=1, plain=job.plain)
             results = json.loads((folder / "results/latest/results.json").read_text())
             line |= compared(results, truth) | _diagnosed(results, drawn.plan)
@@ -78,9 +78,7 @@ def run(job: Job) -> Line:
             line["psf"] = psf_errors(loaded, lens, truth)
             one = loaded.wavefronts[job.index % len(loaded.wavefronts)]
             line["psf_chance"] = psf_chance(one, lens, truth, job.index)
-        except (
-            Exception
-        ) as error:  # whatever it is, it is a finding of the study and not its end
+        except (Exception, OutOfTime) as error:  # a finding of the study, and not its end
             line["failed"] = f"{type(error).__name__}: {error}"
     return line | {
         "making_s": round(made - started, 1),
@@ -88,20 +86,24 @@ def run(job: Job) -> Line:
     }
 
 
+class OutOfTime(BaseException):
+    """The processor time of a fit is spent. No Exception: a fit goes on without a search that raised one."""
+
+
 @contextmanager
-def _ended_after(seconds: int) -> Iterator[None]:
-    """Raise TimeoutError where the work inside takes longer; 0 for no limit."""
+def ended_after(seconds: float) -> Iterator[None]:
+    """Raise OutOfTime where the work inside takes longer, in processor time; 0 for no limit."""
 
     def end(*_: object) -> None:
-        raise TimeoutError(f"not fitted within {seconds} s")
+        raise OutOfTime(f"not fitted within {seconds:g} s of a processor")
 
-    before = signal.signal(signal.SIGALRM, end)
-    signal.alarm(seconds)
+    before = signal.signal(signal.SIGPROF, end)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
     try:
         yield
     finally:
-        signal.alarm(0)
-        signal.signal(signal.SIGALRM, before)
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, before)
 
 
 def _described(job: Job, drawn: Drawn) -> Line:
@@ -221,7 +223,10 @@ def main() -> None:
         "--plain", action="store_true", help="fit with no part that the plan does not state"
     )
     parser.add_argument(
-        "--limit-s", type=int, default=0, help="seconds that a fit may take; 0: no limit"
+        "--limit-s",
+        type=float,
+        default=0,
+        help="processor time that a fit may take; 0: no limit",
     )
     asked = parser.parse_args()
     kind = (asked.study, asked.seed, asked.plain)

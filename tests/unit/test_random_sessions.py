@@ -20,7 +20,7 @@ from benchmarks.random_sessions import (
     draw_with_parts,
 )
 from benchmarks.session_tables import parts_table, psf_table, table
-from benchmarks.sessions import compared, read
+from benchmarks.sessions import OutOfTime, compared, ended_after, read
 from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.parts import LowPassFilter, Smear, Veil
 from labkit.drivers.simulated.pupil import Pupil
@@ -340,6 +340,18 @@ def test_psfs_are_summed_up() -> None:
         "PSF's L1 among those of the wavefront's errors, one a session: n 2, mean 0.50, std 0.50"
     )
     assert [*psf_table([{"failed": None}])] == []
+
+
+def endless() -> None:
+    while True:
+        pass
+
+
+def test_a_fit_that_takes_too_long_is_ended() -> None:
+    with pytest.raises(OutOfTime, match=r"within 0\.05 s"), ended_after(0.05):
+        endless()
+    with ended_after(0):
+        pass
 
 
 def test_a_torn_line_is_cut_off(tmp_path: Path) -> None:
