@@ -20,7 +20,6 @@ from labkit.devices.context import DeviceContext
 from labkit.devices.registry import open_devices
 from labkit.devices.shared import SharedParts
 from labkit.drivers.simulated.bench import Bench
-from labkit.drivers.simulated.field import FieldTerms
 from labkit.drivers.simulated.optics import (
     REFERENCE_NM,
     defocus_waves,
@@ -29,7 +28,6 @@ from labkit.drivers.simulated.optics import (
 )
 from labkit.drivers.simulated.parts import LowPassFilter, Smear, Spectrum, Veil
 from labkit.drivers.simulated.pupil import Pupil
-from labkit.drivers.simulated.view import per_tangent_mm
 from labkit.drivers.simulated.world import (
     BenchSettings,
     TrueLens,
@@ -39,7 +37,6 @@ from labkit.drivers.simulated.world import (
     TrueSensor,
     Truth,
 )
-from labkit.drivers.simulated.zernike_table import read_table
 from labkit.mode_groups import MOST_NOLL
 from labkit.plan import Plan
 from labkit.session.session import Session
@@ -75,12 +72,7 @@ WAVELENGTHS_NM = {"R": (600, 650), "G": (525, 555), "B": (450, 475)}
 ENCODER_STD_MM = 0.005 / 12**0.5
 """Of a range: the encoder counts in steps of 0.005 mm."""
 
-REAL_LENS = Path(__file__).parents[2] / "shared/real/lens63762/zernike_noll.csv"
-FIELD_DEG, REAL_F_NUMBERS = (0.0, 5.0, 10.0, 15.0, 20.0), (1.8, 2.8, 4.0)
-REAL_ELECTRONS = 23_000.0
-"""A commercial lens: its design wavefronts, where and how it is measured, and the electrons of white."""
-
-PARTS_STREAM, AS_MADE_STREAM, REAL_LENS_STREAM = 1, 2, 3
+PARTS_STREAM, AS_MADE_STREAM = 1, 2
 """Set what draws a session's parts, or its lens as it is made, apart from what draws the session."""
 
 EXPOSURE_S, WHITE_COUNTS = 0.02, 10_350.0
@@ -144,36 +136,6 @@ def draw_strong(
     settings = replace(drawn.settings, lens=replace(drawn.settings.lens, pupil=pupil))
     kind = {**drawn.kind, "as_made": {"pupil": asdict(pupil)}}
     return replace(made, settings=settings, kind=kind)
-
-
-def draw_real_lens(seed: int, index: int) -> Drawn:
-    """Draw a session at a field point of a commercial lens, whose plan says nothing of modes: before, about and behind focus.
-
-    Every fifteen sessions have each of FIELD_DEG at each of REAL_F_NUMBERS once. The frame's centre is at that angle below
-    the lens's axis. Raises ValueError where the table of the lens is missing.
-    """
-    rng = np.random.default_rng([seed, index, REAL_LENS_STREAM])
-    field_deg = FIELD_DEG[index % len(FIELD_DEG)]
-    best_mm = 2000.0
-    lens = TrueLens(
-        focal_length_mm=50.0,
-        f_number=REAL_F_NUMBERS[index // len(FIELD_DEG) % len(REAL_F_NUMBERS)],
-        wavelength_nm={"R": 656.0, "G": 588.0, "B": 486.0},
-        best_focus_mm=dict.fromkeys("RGB", best_mm),
-        aberration_waves=0.0,
-    )
-    height_mm = float(np.tan(np.radians(field_deg))) * per_tangent_mm(lens)
-    terms = FieldTerms(axis_mm=(-height_mm, 0.0), table=read_table(str(REAL_LENS)))
-    stations = np.array([-0.8, 0.0, 0.8]) + rng.uniform(-0.15, 0.15, 3)
-    lens = replace(lens, field_terms=terms)
-    ranges_mm = _ranges_at(lens, best_mm, stations)
-    drawn = _session(lens, ranges_mm, "through focus", rng, REAL_ELECTRONS)
-    kind = {**drawn.kind, "field_deg": field_deg}
-    channels = [
-        {"name": name, "wavelength_nm": nm} for name, nm in lens.wavelength_nm.items()
-    ]
-    plan = drawn.plan.replace(channel=channels, fit={"zernike_noll": None})
-    return Drawn(plan, drawn.settings, kind)
 
 
 def draw_with_parts(seed: int, index: int) -> Drawn:
@@ -257,7 +219,6 @@ KINDS: dict[str, Callable[[int, int], Drawn]] = {
     "with-parts": draw_with_parts,
     "silent": draw_silent,
     "as-made": draw_as_made,
-    "real-lens": draw_real_lens,
 }
 
 
@@ -377,9 +338,10 @@ def _session(
     sides: str,
     rng: np.random.Generator,
     white_electrons: float | None = None,
+    tape_std_mm: float = TAPE_STD_MM,
 ) -> Drawn:
     """Plan and world; what the plan states is off by its standard errors. white_electrons: None for a random number."""
-    tape_mm = float(rng.normal(0, TAPE_STD_MM))
+    tape_mm = float(rng.normal(0, tape_std_mm))
     stated_mm = [round(mm - tape_mm, 1) for mm in ranges_mm]
     rail = TrueRail(
         high_mm=stated_mm[-1] - stated_mm[0] + 50,

@@ -6,8 +6,6 @@ true ones midway between the carpets, where nothing was measured. FOLDER is kept
 
 PSNR is 20 log10 of the true PSF's peak over the RMS error in a square of WINDOW_PX pixels about the chief ray. PSFs of the
 optics alone, four samples to lambda N, the true one moved to fit; one focus, common to all points and colours, is fitted too.
-
-Sessions of one carpet at a field point: `python -m benchmarks.sessions OUT.jsonl --study real-lens --sessions 15`.
 """
 
 from __future__ import annotations
@@ -21,7 +19,7 @@ import numpy as np
 import labkit
 from benchmarks.field_sessions import PITCH_UM, TILE_PX, FieldSession, field_session, make
 from benchmarks.psf_errors import REACH, SAMPLES_PER_AIRY, moved_to_fit, true_psf
-from benchmarks.random_sessions import REAL_LENS
+from benchmarks.real_lens import REAL_LENS
 from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.field import FieldTerms, um_per_wave
 from labkit.drivers.simulated.optics import REFERENCE_NM

@@ -34,6 +34,9 @@ PARTS = {
 HIGHER_GROUPS = ("modes_16_21", "modes_22_28", "modes_29_36")
 """Groups of modes that every lens as it is made has."""
 
+REAL_GROUPS = (*HIGHER_GROUPS, "modes_37_37")
+"""Groups of modes that the commercial lens has."""
+
 BLADES = tuple(name for name in KNOWN if name.startswith("blades_"))
 
 FAR_Z = 4.0
@@ -54,6 +57,8 @@ ROWS = {
 def true_parts(line: Line) -> frozenset[str]:
     """Return the parts and groups of modes that a session's camera and lens have, as results name them."""
     names = {PARTS[name] for name in line.get("parts", {})}
+    if "field_deg" in line:
+        names |= set(REAL_GROUPS)
     made = line.get("as_made")
     if made is not None:
         names |= {name for name in ("obstruction", "cats_eye") if made.get(name)}

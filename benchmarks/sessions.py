@@ -12,9 +12,10 @@ import json
 import shutil
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -24,6 +25,7 @@ import numpy as np
 import labkit
 from benchmarks.psf_errors import psf_chance, psf_errors
 from benchmarks.random_sessions import KINDS, Drawn, make
+from benchmarks.real_lens import draw_real_lens
 from benchmarks.session_tables import (
     COUNTS,
     Line,
@@ -38,6 +40,13 @@ from labkit.execute import run_all
 from labkit.mode_groups import MODE_GROUPS
 from labkit.plan import Plan
 from labkit.results import Results
+
+STUDIES: dict[str, Callable[[int, int], Drawn]] = {
+    **KINDS,
+    "real-lens": draw_real_lens,
+    "real-lens-careful": partial(draw_real_lens, careful=True),
+}
+"""Draw the sessions of each study, by seed and index."""
 
 WRONG_WAVES = 0.03
 """RMS over the modes above defocus beyond which, and beyond six standard errors, an optimum is another one than the right."""
@@ -61,7 +70,7 @@ class Job:
 
 def run(job: Job) -> Line:
     """Make a session, fit it without its truth, and compare."""
-    drawn = KINDS[job.study](job.seed, job.index)
+    drawn = STUDIES[job.study](job.seed, job.index)
     with TemporaryDirectory(prefix="labkit-sessions-") as base:
         folder = (job.keep or Path(base)) / f"{job.seed}-{job.index}"
         shutil.rmtree(folder, ignore_errors=True)  # what a run that was killed had kept
@@ -217,7 +226,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--keep", type=Path, help="keep the sessions in this folder")
     parser.add_argument(
-        "--study", choices=KINDS, default="any", help="which sessions are drawn"
+        "--study", choices=STUDIES, default="any", help="which sessions are drawn"
     )
     parser.add_argument(
         "--plain", action="store_true", help="fit with no part that the plan does not state"

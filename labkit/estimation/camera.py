@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import reduce
+from functools import cached_property, reduce
 from itertools import chain
 
 import numpy as np
@@ -26,11 +26,12 @@ from labkit.estimation.searches import Searches
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import optics_of
 from labkit.imaging.optics import Optics
-from labkit.imaging.parts import KNOWN
+from labkit.imaging.parts import KNOWN, Blades
 from labkit.mode_groups import MODE_GROUPS
-from labkit.optics.zernike import stretched
+from labkit.optics.other_circle import over_other_circle
 from labkit.plan import Plan
 from labkit.results.model import PartTried
+from labkit.types import Floats, Indices
 
 ALIKE_BLURS = ("low_pass_filter", "diffusion", "smear", "low_pass_filter_turned")
 """Parts with the same blur to first order, the most common first."""
@@ -94,25 +95,44 @@ def summed_score_tests(fits: Sequence[tuple[str, Optimum]]) -> dict[str, ScoreTe
     return whole
 
 
+def _places(measured: Measured) -> dict[str, Indices]:
+    """Return the places of each part's numbers, and of the highest modes, among a fit's values."""
+    labels = [label.split(".")[0] for label in measured.parts]
+    places = {
+        name: len(measured.noll) + np.flatnonzero([one == name for one in labels])
+        for name in dict.fromkeys(labels)
+        if name in KNOWN
+    }
+    groups = [n for n in MODE_GROUPS if MODE_GROUPS[n].last in measured.noll]
+    for name in groups[-1:]:
+        places[name] = np.flatnonzero(np.isin(measured.noll, MODE_GROUPS[name].noll))
+    return places
+
+
 def wald_losses(fits: Sequence[Measured]) -> dict[str, float]:
     """Return the log-likelihood lost without each part, and without the highest modes (Wald test)."""
     losses = dict[str, float]()
     for measured in fits:
-        labels = [label.split(".")[0] for label in measured.parts]
-        groups = [n for n in MODE_GROUPS if MODE_GROUPS[n].last in measured.noll]
-        numbers = {
-            name: len(measured.noll) + np.flatnonzero([one == name for one in labels])
-            for name in dict.fromkeys(labels)
-            if name in KNOWN
-        }
-        for name in groups[-1:]:
-            numbers[name] = np.flatnonzero(np.isin(measured.noll, MODE_GROUPS[name].noll))
-        for name, at in numbers.items():
+        for name, at in _places(measured).items():
             values, covariance = measured.values[at], measured.covariance[np.ix_(at, at)]
             losses[name] = losses.get(name, 0.0) + 0.5 * float(
                 values @ np.linalg.solve(covariance, values)
             )
     return losses
+
+
+def unphysical(fits: Sequence[Measured]) -> Parts:
+    """Return the parts whose numbers, common to all fits, are below 0 where only positive numbers are physical."""
+    weights, sums = dict[str, Floats](), dict[str, Floats]()
+    for measured in fits:
+        for name, at in _places(measured).items():
+            if name not in KNOWN or not KNOWN[name].one_sided:
+                continue
+            weight = np.linalg.inv(measured.covariance[np.ix_(at, at)])
+            weights[name] = weights.get(name, np.zeros_like(weight)) + weight
+            sums[name] = sums.get(name, np.zeros(at.size)) + weight @ measured.values[at]
+    common = {name: np.linalg.solve(weights[name], sums[name]) for name in weights}
+    return Parts(name for name, v in common.items() if not (v.max() > 0 and v.sum() > 0))
 
 
 def extended(parts: Parts, name: str) -> Parts:
@@ -165,8 +185,17 @@ class Fitted:
             for k, end in self.ends.items()
         )
 
+    @cached_property
+    def unphysical(self) -> Parts:
+        """Parts with unphysical numbers."""
+        return unphysical([end.measured for end in self.ends.values()]) & self.parts
+
     def net_gain(self, before: Fitted) -> float:
-        """Return the gain less the cost of the added parts."""
+        """Return the gain less the cost of the added parts; no gain justifies unphysical parts."""
+        if self.unphysical - before.parts:
+            return -np.inf
+        if before.unphysical - self.parts:
+            return np.inf
         return self.gain(before) - cost(self.parts) + cost(before.parts)
 
     def better(self, before: Fitted) -> bool:
@@ -191,6 +220,7 @@ class CameraChoice:
     tried : parts tested for, with their gains
     missing : the significant part that was refused because it explains too little of the residuals
     with_missing : fits with the missing part
+    compared : models without a diaphragm at whose optima all numbers of blades were compared
     """
 
     refit: Refit
@@ -199,6 +229,7 @@ class CameraChoice:
     tried: list[PartTried] = field(default_factory=list)
     missing: tuple[str, ...] = ()
     with_missing: Mapping[int, Optimum] = field(default_factory=dict)
+    compared: set[Parts] = field(default_factory=set)
 
     def chosen(self, ends: Mapping[int, Optimum], parts: Parts) -> Parts:
         """Find the parts that raise the penalised likelihood most, step by step.
@@ -251,19 +282,19 @@ class CameraChoice:
     def _proposals(self, present: Fitted) -> Iterator[Parts]:
         """Propose other choices of parts, the most promising first."""
         fits, parts = list(present.ends.values()), present.parts
-        tests = summed_score_tests(
-            [(self.channels[k], one) for k, one in present.ends.items()]
-        )
+        tests = self._tests(present)
         self.tried = [one for one in self.tried if one.name not in tests]
         self.tried += [PartTried(name, test.gain, False) for name, test in tests.items()]
         losses = wald_losses([fit.measured for fit in fits])
         for name in sorted(parts & losses.keys(), key=lambda one: losses[one]):
-            if losses[name] < cost(parts) - cost(parts - {name}):
+            worth = cost(parts) - cost(parts - {name})
+            if losses[name] < worth or name in present.unphysical:
                 yield parts - {name}
         for name in TESTED_IN_PLACE.keys() & parts:
             yield (parts - {name}) | {TESTED_IN_PLACE[name]}
         # their likelihood is no parabola near zero: a fit without them decides in place of a Wald test
         yield from (parts - {name} for name in parts & set(TESTED_IN_PLACE.values()))
+        yield from self._other_blades(present)
         least = _least_gain(fits)
         net = {
             name: test.gain - cost(extended(parts, name)) + cost(parts)
@@ -281,6 +312,30 @@ class CameraChoice:
             numbers = sum(len(KNOWN[one].labels) for one in more_common)
             if len(more_common) > 1 and numbers <= len(KNOWN[name].labels):
                 yield (parts - {name}) | set(more_common)
+
+    def _tests(self, present: Fitted) -> dict[str, ScoreTest]:
+        """Return the summed score tests of some fits."""
+        if not any(kind(name) == Blades.kind for name in present.parts):
+            self.compared.add(present.parts)
+        return summed_score_tests(
+            [(self.channels[k], one) for k, one in present.ends.items()]
+        )
+
+    def _other_blades(self, present: Fitted) -> Iterator[Parts]:
+        """Propose another number of blades if the rest of the model has changed since all numbers were compared.
+
+        A cat's eye that the model lacks adds to the scores of wrong numbers.
+        """
+        for name in present.parts - self.wanted:
+            without = present.parts - {name}
+            if kind(name) != Blades.kind or without in self.compared:
+                continue
+            telling = _telling(present.ends, Parts({name}))
+            tests = self._tests(Fitted(without, self.refit(telling, without)))
+            numbers = [other for other in tests if kind(other) == Blades.kind]
+            best = max(numbers, key=lambda other: tests[other].gain, default=name)
+            if best != name:
+                yield without | {best}
 
     def _reached(self, present: Fitted, trial: Fitted) -> Fitted | None:
         """Return all fits with the parts of a trial, or None if the penalised likelihood does not rise."""
@@ -378,16 +433,21 @@ class Refits:
 
 
 def _with_the_light(begin: Optimum, optics: Optics) -> tuple[Optics, State]:
-    """Return optics and state whose pupil is as large as an optimum's, and whose wavefront is the same.
+    """Return optics and state whose pupil is as large as an optimum's, and whose wavefront and picture are the same.
 
-    The unit circle of a cat's eye is the full pupil's.
+    The unit circle of a cat's eye is the full pupil's, whose centre is not that of the clear part.
     """
     state = with_modes(begin.state, begin.optics, optics)
-    wider = float(np.sqrt(begin.optics.rim.area / optics.rim.area))
+    before, after = begin.optics.rim, optics.rim
+    wider = float(np.sqrt(before.area / after.area))
     if wider == 1:
         return optics, state
-    waves = stretched(optics.noll, state.waves, wider)
-    return replace(optics, f_number=optics.f_number / wider), replace(state, waves=waves)
+    optics = replace(optics, f_number=optics.f_number / wider)
+    waves, tilts = over_other_circle(optics.noll, state.waves, before, after)
+    # a tilt of Noll 2 or 3 has a slope of 2 over the radius, which moves light by twice the f-number
+    columns, rows = 4 * tilts * optics.reference_um * optics.f_number / optics.pitch_um
+    poses = tuple(pose.shifted(-rows, -columns) for pose in state.poses)
+    return optics, replace(state, waves=waves, poses=poses)
 
 
 def with_tests(guess: Guesses, optics: Optics, plan: Plan) -> Guesses:

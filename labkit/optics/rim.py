@@ -19,6 +19,7 @@ from labkit.types import Bools, Floats
 
 FULL_TURN = 2 * np.pi
 OUTLINE_ARCS = 512  # of an outline, for its extent and its length
+CENTROID_ANGLES = 96  # at least, of points to a centroid
 HALVINGS = 45  # of an interval of angles, to an intersection
 
 
@@ -220,6 +221,12 @@ class Rim:
             return 1.0
         share = self.obstructed / (1 - self.obstructed)
         return self._scale**2 * self._outline_area / np.pi - share
+
+    @cached_property
+    def centre(self) -> tuple[float, float]:
+        """Centroid x, y of the clear part."""
+        x, y, weights = self.quadrature(4, CENTROID_ANGLES)
+        return float(weights @ x), float(weights @ y)
 
     @cached_property
     def _scale(self) -> float:

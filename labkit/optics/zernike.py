@@ -25,11 +25,6 @@ MODE_NAMES = {
 }
 
 
-RADIAL_NODES = 16
-ANGULAR_NODES = 48
-"""Nodes that integrate products of two modes up to order 14 exactly."""
-
-
 def mode_name(j: int) -> str:
     """Return the usual name of a Noll mode, or its number."""
     return MODE_NAMES.get(j, f"mode {j}")
@@ -102,20 +97,6 @@ def zernike(j: int, rho: Floats, theta: Floats) -> Floats:
         return sqrt(n + 1) * radial(n, 0, rho)
     angular = np.cos(m * theta) if m > 0 else np.sin(-m * theta)
     return sqrt(2 * (n + 1)) * radial(n, m, rho) * angular
-
-
-def stretched(noll: Sequence[int], waves: Floats, factor: float) -> Floats:
-    """Return the coefficients (modes,) of the same wavefront over a circle that is larger by a factor.
-
-    Modes that `noll` lacks, such as piston and tilt, are dropped.
-    """
-    node, weight = np.polynomial.legendre.leggauss(RADIAL_NODES)
-    angles = np.linspace(0, 2 * np.pi, ANGULAR_NODES, endpoint=False)
-    rho, theta = np.meshgrid(0.5 * (1 + node), angles)
-    inside = np.array([zernike(j, rho, theta) for j in noll])
-    beyond = np.array([zernike(j, factor * rho, theta) for j in noll])
-    path = np.tensordot(waves, beyond, 1)
-    return np.asarray(np.sum(inside * path * rho * weight, axis=(1, 2)) / ANGULAR_NODES)
 
 
 @cache

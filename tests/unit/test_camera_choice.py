@@ -353,3 +353,61 @@ def test_where_fits_are_explained_an_obstruction_needs_a_score_as_others_do() ->
     fits = Fits(heights={("obstruction",): 3.0}, called={"obstruction": 1.0})
     assert fits.chosen()[0] == set()
     assert fits.refits == []
+
+
+# numbers of blades
+
+
+@dataclass
+class Misled(Fits):
+    """Fits that call for six blades as long as their model lacks the rest of the rim, and then for seven."""
+
+    def end(self, parts: Parts) -> Optimum:
+        rest = "uneven_rim" in parts
+        called = {"blades_7": 60.0, "blades_6": 5.0} if rest else self.called
+        return Fits(self.heights, called).end(parts)
+
+
+def test_the_number_of_blades_is_asked_again_with_the_rest_of_the_rim() -> None:
+    fits = Misled(
+        {
+            ("blades_6",): 30.0,
+            ("uneven_rim",): 25.0,
+            ("blades_6", "uneven_rim"): 60.0,
+            ("blades_7", "uneven_rim"): 90.0,
+        },
+        {"blades_6": 40.0, "uneven_rim": 30.0, "blades_7": 5.0},
+    )
+    chosen, _ = fits.chosen()
+    assert chosen == {"blades_7", "uneven_rim"}
+    asked = [parts for _, parts in fits.refits]
+    assert asked.index(Parts({"blades_6"})) < asked.index(Parts({"uneven_rim"}))
+
+
+def test_a_number_of_blades_that_nothing_contradicts_is_asked_once() -> None:
+    fits = Fits({("blades_6",): 30.0}, {"blades_6": 40.0})
+    chosen, _ = fits.chosen()
+    assert chosen == {"blades_6"}
+    assert Parts() not in [parts for _, parts in fits.refits]
+
+
+# unphysical numbers
+
+
+def test_a_part_with_unphysical_numbers_is_not_taken_in_whatever_it_gains() -> None:
+    fits = Fits({("veil",): 30.0}, {"veil": 40.0}, {"veil": -0.5})
+    chosen, _ = fits.chosen()
+    assert chosen == set()
+
+
+def test_a_part_whose_numbers_became_unphysical_leaves_the_model() -> None:
+    fits = Fits({("veil",): 30.0}, {}, {"veil": -0.5})
+    choice = CameraChoice(fits.refit, Parts(), ["G"] * FITS)
+    ends = {k: fits.end(Parts({"veil"})) for k in range(FITS)}
+    assert choice.chosen(ends, Parts({"veil"})) == set()
+
+
+def test_a_rim_may_have_negative_numbers() -> None:
+    fits = Fits({("uneven_rim",): 30.0}, {"uneven_rim": 40.0}, {"uneven_rim": -0.5})
+    chosen, _ = fits.chosen()
+    assert chosen == {"uneven_rim"}

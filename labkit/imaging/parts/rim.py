@@ -9,9 +9,11 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import product
 from typing import ClassVar, Self
 
@@ -321,16 +323,19 @@ class CatsEye(Part):
         uneven = next((part for part in before if isinstance(part, UnevenRim)), None)
         if uneven is None:
             return self
-        every = product(SHIFTS, SIZES, START_DIRECTIONS)
         circles = [
-            Circle(float(s), float(r), float(t)) for s, r, t in every if r - 1 < s < r
+            Circle(float(s), float(r)) for s, r in product(SHIFTS, SIZES) if r - 1 < s < r
         ]
-        away = [np.linalg.norm(_harmonics(one) - uneven.values) for one in circles]
-        best = circles[int(np.argmin(away))]
+        turned = [
+            (np.linalg.norm(_turned(_harmonics(one), t) - uneven.values), one, float(t))
+            for one in circles
+            for t in START_DIRECTIONS
+        ]
+        _, best, direction = min(turned, key=lambda each: each[0])
         return self.at(
             [
-                best.shift * math.cos(best.direction),
-                best.shift * math.sin(best.direction),
+                best.shift * math.cos(direction),
+                best.shift * math.sin(direction),
                 best.size - 1,
             ]
         )
@@ -368,11 +373,26 @@ class CatsEye(Part):
         )
 
 
+@lru_cache(maxsize=SHIFTS.size * SIZES.size)
 def _harmonics(circle: Circle) -> Floats:
-    """Return the second and third harmonics (4,) of the outline of a pupil cut by a circle, relative to its
-    mean.
+    """Return the second and third harmonics (4,) of the outline of a pupil cut by a circle.
+
+    About the centre of the clear part, relative to the mean; read only.
     """
-    outline = np.minimum(1.0, circle.radius(ANGLES))
-    outline = outline / outline.mean()
+    cut = Rim((Circle(), circle))
+    right, down = cut.centre
+    theta = np.linspace(0, FULL_TURN, 4 * ANGLES.size, endpoint=False)
+    outline = cut.outline(theta)
+    x, y = outline * np.cos(theta) - right, outline * np.sin(theta) - down
+    about = np.interp(ANGLES, np.arctan2(y, x), np.hypot(x, y), period=FULL_TURN)
     turns = np.array([wave(k * ANGLES) for k in (2, 3) for wave in (np.cos, np.sin)])
-    return np.asarray(2 * (turns @ outline) / len(ANGLES))
+    harmonics = 2 * (turns @ about) / about.sum()
+    harmonics.flags.writeable = False
+    return np.asarray(harmonics)
+
+
+def _turned(harmonics: Floats, angle: float) -> Floats:
+    """Return second and third harmonics (4,) of an outline that is turned by an angle."""
+    second = complex(*harmonics[:2]) * cmath.exp(2j * angle)
+    third = complex(*harmonics[2:]) * cmath.exp(3j * angle)
+    return np.array([second.real, second.imag, third.real, third.imag])
