@@ -110,29 +110,51 @@ def _places(measured: Measured) -> dict[str, Indices]:
 
 
 def wald_losses(fits: Sequence[Measured]) -> dict[str, float]:
-    """Return the log-likelihood lost without each part, and without the highest modes (Wald test)."""
-    losses = dict[str, float]()
+    """Return the log-likelihood lost without each part, and without the highest modes (Wald test).
+
+    A part of all channels has one value for all fits: by chance each fit alone would add half a unit for each number.
+    """
+    losses = {name: _loss(*one) for name, one in _common(fits).items()}
     for measured in fits:
         for name, at in _places(measured).items():
-            values, covariance = measured.values[at], measured.covariance[np.ix_(at, at)]
-            losses[name] = losses.get(name, 0.0) + 0.5 * float(
-                values @ np.linalg.solve(covariance, values)
-            )
+            if name in MODE_GROUPS or KNOWN[name].per_channel:
+                loss = _loss(measured.values[at], _weight(measured, at))
+                losses[name] = losses.get(name, 0.0) + loss
     return losses
+
+
+def _weight(measured: Measured, at: Indices) -> Floats:
+    """Return the inverse covariance of some of a fit's values."""
+    return np.asarray(np.linalg.inv(measured.covariance[np.ix_(at, at)]), float)
+
+
+def _loss(values: Floats, weight: Floats) -> float:
+    return 0.5 * float(values @ weight @ values)
 
 
 def unphysical(fits: Sequence[Measured]) -> Parts:
     """Return the parts whose numbers, common to all fits, are below 0 where only positive numbers are physical."""
+    return Parts(
+        name
+        for name, (values, _) in _common(fits).items()
+        if KNOWN[name].one_sided and not (values.max() > 0 and values.sum() > 0)
+    )
+
+
+def _common(fits: Sequence[Measured]) -> dict[str, tuple[Floats, Floats]]:
+    """Return the numbers of each part of all channels, common to all fits, and their inverse covariance."""
     weights, sums = dict[str, Floats](), dict[str, Floats]()
     for measured in fits:
         for name, at in _places(measured).items():
-            if name not in KNOWN or not KNOWN[name].one_sided:
+            if name in MODE_GROUPS or KNOWN[name].per_channel:
                 continue
-            weight = np.linalg.inv(measured.covariance[np.ix_(at, at)])
+            weight = _weight(measured, at)
             weights[name] = weights.get(name, np.zeros_like(weight)) + weight
             sums[name] = sums.get(name, np.zeros(at.size)) + weight @ measured.values[at]
-    common = {name: np.linalg.solve(weights[name], sums[name]) for name in weights}
-    return Parts(name for name, v in common.items() if not (v.max() > 0 and v.sum() > 0))
+    return {
+        name: (np.asarray(np.linalg.solve(weight, sums[name]), float), weight)
+        for name, weight in weights.items()
+    }
 
 
 def extended(parts: Parts, name: str) -> Parts:
