@@ -13,14 +13,7 @@ from scipy.special import j1
 from labkit.imaging.blur import Blur
 from labkit.imaging.grid import Torus
 from labkit.imaging.optics import Optics
-from labkit.imaging.parts import (
-    Blades,
-    CatsEye,
-    Obstruction,
-    Part,
-    UnevenRim,
-    rim_of,
-)
+from labkit.imaging.parts import Blades, Obstruction, Part, UnevenRim, rim_of
 from labkit.optics.other_circle import over_other_circle
 from labkit.optics.psf import OUTLINE_REACH, Pupil, diffraction_mtf, smooth_outline
 from labkit.optics.rim import ROUND, ROUND_RIM, Circle, Diaphragm, Rim
@@ -192,29 +185,6 @@ def test_a_wavefront_is_the_same_about_the_centre_of_the_clear_part(shift: float
     away = path - own @ modes_at(noll, x, y) - tilts @ modes_at((2, 3), x, y)
     # 0.009 and 0.032 as measured: modes are kept small beyond the clear part
     assert np.std(away) < 0.06 * np.std(path)
-
-
-@pytest.mark.parametrize("eye", [(0.3, 0.9, 0.0), (0.5, 1.1, 2.0), (0.2, 1.0, 4.0)])
-def test_a_cats_eye_begins_with_the_outline_of_an_uneven_rim(
-    eye: tuple[float, float, float],
-) -> None:
-    shift, size, direction = eye
-    cut = Rim((Circle(), Circle(shift, size, direction)))
-    rng = np.random.default_rng(2)
-    x, y = rng.uniform(-1, 1, (2, 200_000))
-    clear = cut.inside(x, y)
-    x, y = x[clear] - x[clear].mean(), y[clear] - y[clear].mean()
-    # moments of an outline 1 + c cos kt over a disc: the mean of r^k cos kt is c to first order
-    radius = np.sqrt(2 * np.mean(x**2 + y**2))
-    z = (x + 1j * y) / radius
-    second, third = np.mean(z**2), np.mean(z**3)
-    uneven = UnevenRim(second.real, second.imag, third.real, third.imag)
-    begun = CatsEye().begun([uneven])
-    outline, theta = rim_of([begun]), np.linspace(0, 2 * np.pi, 60)
-    assert np.hypot(begun.right, begun.down) == pytest.approx(shift, abs=0.05)
-    away = outline.outline(theta) - cut.outline(theta)
-    # 0.017 at most as measured
-    assert np.sqrt(np.mean(away**2)) < 0.03
 
 
 def polygon(blades: int, turn: float) -> poppy.NgonAperture:
