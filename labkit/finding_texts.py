@@ -162,8 +162,9 @@ TEXTS = {
     ),
     "tilt-untested": "{words}",
     "perspective-contradicted": (
-        "focus follows {share_words} of the target's tilt that the perspective shows, not all of it (p = {p_value:.1g}): the "
-        "sensor's tilt is estimated with this share; was the sensor shifted, or the target's pitch_mm or size_mm wrong?"
+        "by the places of its tiles the target leans otherwise at each range, which should move the focus over the frame; "
+        "{share_words} of that move is there, not 1: the sensor's tilt is estimated with this share; check that the target is "
+        "flat, and that no program straightened the photographs"
     ),
     # edges
     "ranges-not-determined": (

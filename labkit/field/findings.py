@@ -36,7 +36,7 @@ def tilt_findings(tilt: SeparatedTilt) -> Iterator[Finding]:
         yield found(
             "perspective-contradicted",
             None,
-            {"share_words": f"{tilt.share:.2f}"},
+            {"share_words": str(tilt.share)},
             share=tilt.share.as_json(),
             p_value=tilt.p_value,
         )
