@@ -475,7 +475,7 @@ def _foreshortening(pose: Pose, covariance: Floats) -> tuple[float, float]:
     """
     root = scipy.linalg.sqrtm(covariance).real
     steps = np.random.default_rng(0).normal(size=(SETTINGS.tilt_draws, POSE_SIZE)) @ root
-    values = [pose.moved(step).log_foreshortening() for step in steps]
+    values = pose.log_foreshortenings(steps)
     return float(np.mean(values)), float(np.std(values))
 
 

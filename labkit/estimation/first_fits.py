@@ -1,12 +1,15 @@
-"""Which observations of a session are fitted first."""
+"""Which observations of a session are fitted first, and what others tell of their starts."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
+from labkit.estimation.local import Found
 from labkit.estimation.observation import Observation
+from labkit.imaging.warp import Pose
+from labkit.key import Tile
 from labkit.plan import leading_channel
 
 
@@ -27,20 +30,72 @@ def anchors(observations: Sequence[Observation], places: Sequence[int]) -> list[
     return list(dict.fromkeys(ends))
 
 
-def worst_predicted(
-    observations: Sequence[Observation], variances: Mapping[int, float], most: int
+def clearest(
+    observations: Sequence[Observation], defocus: Mapping[int, float]
 ) -> list[int]:
-    """Return, of each channel, the observations whose defocus is predicted worst.
+    """Return the observation of each channel and tile that is farthest from focus, by predicted defocus, waves RMS."""
+    best = dict[tuple[str, Tile | None], int]()
+    for k, waves in defocus.items():
+        other = best.setdefault((observations[k].channel, observations[k].tile), k)
+        if abs(waves) > abs(defocus[other]):
+            best[observations[k].channel, observations[k].tile] = k
+    return list(best.values())
+
+
+def best_predicted(
+    observations: Sequence[Observation],
+    fitted: Collection[int],
+    stds: Mapping[int, float],
+    terms: int,
+) -> list[int]:
+    """Return, of each channel, the observations whose defocus is predicted best: tiles next to those that are fitted.
 
     Parameters
     ----------
     observations : of the session
-    variances : of predicted defocus, by the place of an observation
-    most : number of observations of a channel: of terms that its wavefront has over the field, 1 without tiles
+    fitted : places of observations with a fit; of a channel without any, one observation is returned
+    stds : standard errors of predicted defocus, by the place of an observation
+    terms : number of observations of a channel: of terms that its wavefront has over the field, 1 without tiles
     """
-    ranked = sorted(variances, key=lambda k: -variances[k])
+    known = {observations[k].channel for k in fitted}
+    ranked = sorted(stds, key=lambda k: stds[k])
     chosen = list[int]()
-    for channel in dict.fromkeys(observations[k].channel for k in variances):
+    for channel in dict.fromkeys(observations[k].channel for k in stds):
         of = [k for k in ranked if observations[k].channel == channel]
-        chosen += of[:most]
+        chosen += of[: terms if channel in known else 1]
     return chosen
+
+
+def nearest_fitted(
+    observations: Sequence[Observation], fitted: Collection[int], place: int
+) -> int | None:
+    """Return the nearest fitted tile of a tile's channel and range; None if none is fitted, or without tiles.
+
+    Its wavefront is a safer start than a prediction: the field's expansion may extrapolate few tiles to any wavefront.
+    """
+    here = observations[place]
+    same = [
+        k
+        for k in fitted
+        if (observations[k].channel, observations[k].range_mm)
+        == (here.channel, here.range_mm)
+    ]
+    if here.tile is None or not same:
+        return None
+    away = {k: np.subtract(observations[k].place, here.place) for k in same}
+    return min(same, key=lambda k: float(np.hypot(*away[k])))
+
+
+def known_poses(
+    observations: Sequence[Observation], found: Mapping[int, Found], place: int
+) -> tuple[Pose, ...]:
+    """Return the target's poses in an observation's photographs by a fit of another channel; empty without one."""
+    here = observations[place]
+    for k in found:
+        there = observations[k]
+        same = there.names == here.names and there.tile == here.tile
+        if k != place and there.names and same:
+            top, left = np.subtract(here.origin_px, there.origin_px)
+            poses = found[k].best.state.poses
+            return tuple(pose.shifted(top, left) for pose in poses)
+    return ()

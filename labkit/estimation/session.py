@@ -10,7 +10,13 @@ import numpy as np
 from labkit.errors import FitError
 from labkit.estimation.camera import CameraChoice, Parts, Refits, with_tests
 from labkit.estimation.estimate import Estimate, LocalFit, is_ranged, observed
-from labkit.estimation.first_fits import anchors, worst_predicted
+from labkit.estimation.first_fits import (
+    anchors,
+    best_predicted,
+    clearest,
+    known_poses,
+    nearest_fitted,
+)
 from labkit.estimation.laws import Laws
 from labkit.estimation.lens_fit import fit_lens
 from labkit.estimation.local import Found, Guesses, Optimum
@@ -24,7 +30,6 @@ from labkit.estimation.strong import StrongSearch
 from labkit.execute import Run
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
-from labkit.key import Tile
 from labkit.mode_groups import MODE_GROUPS
 from labkit.optics.field import field_terms
 from labkit.plan import Plan
@@ -195,30 +200,37 @@ class _Loop:
         """Return first fits: from the prediction if defocus is predicted well; else the clearest of each channel.
 
         Far from focus the right optimum is clear. Near focus wrong optima are close, and a fit starts from the prediction. Of
-        tiles, the clearest of as many are fitted as the field's expansion has terms: then the others are predicted.
+        tiles, the clearest next to fitted ones begin from their wavefront, as many at once as the field's expansion has terms.
         """
         if selection is None:
             waves = self._clearest().waves
             return {k: self._guess(modes=(waves,)) for k in left}
         predicted, covariance = selection.lens.predictions
         at = selection.lens.model.defocus
-        sure, clearest = dict[int, Guesses](), dict[tuple[str, Tile | None], int]()
+        sure, unsure = dict[int, Guesses](), dict[int, float]()
         for k in left:
             if (row := self.rows.get(k)) is None:
                 sure[k] = self._guess(modes=(self._clearest().waves,))
                 continue
             waves = predicted[row, : len(self._noll)]
             if covariance[row, at, at] < SETTINGS.sure_waves**2:
-                sure[k] = self._guess(starts=(waves,), poses=self._known_poses(k))
-                continue
-            group = self.observations[k].channel, self.observations[k].tile
-            other = clearest.setdefault(group, k)
-            if abs(waves[at]) > abs(predicted[self.rows[other], at]):
-                clearest[group] = k
-        variances = {k: covariance[self.rows[k], at, at] for k in clearest.values()}
+                sure[k] = self._guess(
+                    starts=(waves,), poses=known_poses(self.observations, self.found, k)
+                )
+            else:
+                unsure[k] = float(waves[at])
+        stds = {
+            k: float(covariance[self.rows[k], at, at]) ** 0.5
+            for k in clearest(self.observations, unsure)
+        }
         terms = len(field_terms(selection.lens.model.field_order))
-        for k in worst_predicted(self.observations, variances, terms):
-            sure[k] = self._guess(modes=(predicted[self.rows[k], : len(self._noll)],))
+        for k in best_predicted(self.observations, self.found, stds, terms):
+            beside = nearest_fitted(self.observations, self.found, k)
+            if beside is None:
+                sure[k] = self._guess(modes=(predicted[self.rows[k], : len(self._noll)],))
+            else:
+                waves = self.chosen(beside).waves
+                sure[k] = self._guess(starts=(waves,), modes=(waves,))
         return sure
 
     def _badly_predicted(self, selection: Selection) -> dict[int, Guesses]:
@@ -250,7 +262,9 @@ class _Loop:
             if not (far and doubtful):
                 continue
             if self._new(k, waves):
-                doubted[k] = self._guess(starts=(waves,), poses=self._known_poses(k))
+                doubted[k] = self._guess(
+                    starts=(waves,), poses=known_poses(self.observations, self.found, k)
+                )
             elif (k, self.parts) not in self.expanded:
                 state = replace(self.chosen(k).state, waves=waves)
                 doubted[k] = replace(self._guess(), state=state, held=True)
@@ -265,20 +279,6 @@ class _Loop:
             for one in before
         )
         return far and len(before) < SETTINGS.tried
-
-    def _known_poses(self, k: int) -> tuple[Pose, ...]:
-        """Return the target's poses in the photographs of observation k from a fit of another channel; empty without one."""
-        here = self.observations[k]
-        for j in self.found:
-            there = self.observations[j]
-            same = there.names == here.names and there.tile == here.tile
-            if j != k and there.names and same:
-                (top, left), (other_top, other_left) = here.origin_px, there.origin_px
-                poses = self.found[j].best.state.poses
-                return tuple(
-                    pose.shifted(top - other_top, left - other_left) for pose in poses
-                )
-        return ()
 
     def _guess(
         self,

@@ -135,9 +135,7 @@ class Blur:
         """Return the PSF of any pupil over all wavelengths."""
         psf = np.zeros((pupil.size, pupil.size))
         for share, node in self.spectrum.shares:
-            psf += share * (
-                pupil.psf(waves) if node == 1 else pupil.stretched(waves / node, node)
-            )
+            psf += share * pupil.stretched(waves / node, node)
         return psf
 
     def psf_slopes(self, waves: Floats, only: slice = slice(None)) -> Iterator[Floats32]:
@@ -205,7 +203,7 @@ class Blur:
         airy_um = halo.wavelength_um * halo.f_number
         for share, node in self.spectrum.shares:
             for sign, pupil, at in ((1, self.pupil, waves), (-1, halo, 0 * waves)):
-                departure += sign * share * pupil.stretched(at / node, node, slope=True)
+                departure += sign * share * pupil.stretched_slope(at / node, node)
             perfect += share * perfect_lens_slope(self.torus, node * airy_um)
         return self._through_camera(
             self._of(departure.astype(np.float32), _times(perfect, *self._pixel))

@@ -123,15 +123,20 @@ class Pose:
         image. The line has (y, x) in the direction (v7, -v6); an upright target is not
         shortened.
         """
-        v, (tall, wide) = self.v, self.half_size_mm
-        if not v[6:].any():
-            return 0.0
+        return float(self.log_foreshortenings(np.zeros((1, POSE_SIZE)))[0])
+
+    def log_foreshortenings(self, steps: Floats) -> Floats:
+        """Return `log_foreshortening` of the poses v + step, for steps (n, 8)."""
+        v = (self.v + steps).T
+        tall, wide = self.half_size_mm
         y, x = v[7], -v[6]
+        matrix = np.array([[v[1], v[2], v[0]], [v[4], v[5], v[3]], [v[6], v[7], 1 + 0 * y]])
+        area = np.linalg.slogdet(np.moveaxis(matrix, 2, 0))[1] - np.log(tall * wide)
         length = np.hypot(tall * y, wide * x)
-        return (
-            float(np.log(np.hypot(v[1] * y + v[2] * x, v[4] * y + v[5] * x) / length))
-            - self.log_scale()[0]
-        )
+        seen = np.hypot(v[1] * y + v[2] * x, v[4] * y + v[5] * x)
+        upright = length == 0
+        along = np.log(np.where(upright, 1.0, seen) / np.where(upright, 1.0, length))
+        return np.asarray(np.where(upright, 0.0, along - 0.5 * area))
 
     def jacobian(self, row: Floats, col: Floats) -> tuple[Floats, Floats]:
         """Return derivatives (8, ...) of row and of col by v, for the target's points at these pixels."""

@@ -394,27 +394,38 @@ class Pupil:
             )
         return np.asarray(np.abs(field) ** 2 / self._light), slopes
 
-    def stretched(self, waves: Floats, stretch: float, slope: bool = False) -> Floats:
-        """Return the (size, size) PSF of a larger f-number on its own grid, or its slope by the factor's
-        logarithm.
+    def stretched(self, waves: Floats, stretch: float) -> Floats:
+        """Return the (size, size) PSF of a larger f-number on its own grid.
 
         The pupil's samples stay and the transform is stretched, so the result is smooth in
         the factor to 1e-15; resampling the pupil would be smooth to 5e-7. Other wavelengths
         follow in the same way, with phases of 1 / their wavelength.
         """
-        places = (np.arange(self.size) - self.size // 2) / (self.size * stretch)
-        phase = -2 * np.pi * np.outer(places, self._offsets)
-        turn = np.exp(1j * phase)
+        if stretch == 1:
+            return self.psf(waves)
+        field = self._to_stretched_image(self._pupil_function(waves), stretch)
+        return np.asarray(np.abs(field) ** 2 / (self._light * stretch**2))
+
+    def stretched_slope(self, waves: Floats, stretch: float) -> Floats:
+        """Return the slope (size, size) of `stretched` by the factor's logarithm."""
         pupil = self._pupil_function(waves)
-        left = turn @ pupil
-        field = left @ turn.T
+        offsets = 2j * np.pi / (self.size * stretch) * self._offsets
+        places = np.arange(self.size) - self.size // 2
+        field, down, right = (
+            self._to_stretched_image(one, stretch)
+            for one in (pupil, pupil * offsets[:, None], pupil * offsets)
+        )
+        change = places[:, None] * down + places * right
         light = self._light * stretch**2
-        psf = np.asarray(np.abs(field) ** 2 / light)
-        if not slope:
-            return psf
-        by = -1j * phase * turn
-        change = (by @ pupil) @ turn.T + left @ by.T
-        return np.asarray(2 * (np.conj(field) * change).real / light - 2 * psf)
+        return np.asarray(2 * ((np.conj(field) * change).real - np.abs(field) ** 2) / light)
+
+    def _to_stretched_image(self, pupil: Complexes, stretch: float) -> Complexes:
+        """Return `_to_image` of a larger f-number, on the same places; the transform of the whole grid is fast."""
+        if stretch == 1:
+            return self._to_image(pupil)
+        places = (np.arange(self.size) - self.size // 2) / (self.size * stretch)
+        turn = np.exp(-2j * np.pi * np.outer(places, self._offsets))
+        return np.asarray(turn @ pupil @ turn.T)
 
 
 def diffraction_mtf(frequency: Floats) -> Floats:

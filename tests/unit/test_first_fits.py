@@ -1,0 +1,59 @@
+"""Which tiles of a field are fitted first, and from where."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labkit.estimation.first_fits import best_predicted, clearest, nearest_fitted
+from labkit.estimation.observation import Observation
+from labkit.imaging.warp import Pose
+from tests.optimum_samples import NOISE
+
+TILE_PX = 100
+
+
+def tile(column: int, channel: str = "G", range_mm: float = 1180.0) -> Observation:
+    """A tile of a row of ten, without photographs."""
+    corners = 30.0 + 40 * np.array([[0, 0], [0, 1], [1, 1], [1, 0]])
+    return Observation(
+        range_mm,
+        range_mm,
+        channel,
+        ("a.dng",),
+        (),
+        (Pose.from_corners(corners, (10.0, 10.0)),),
+        NOISE,
+        ((0, 0),),
+        1,
+        origin_px=(0, TILE_PX * column),
+        tile=(0, column),
+        photograph_px=(TILE_PX, 10 * TILE_PX),
+    )
+
+
+ROW = [tile(column) for column in range(10)]
+
+
+def test_a_tile_begins_from_its_nearest_fitted_neighbour(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(Observation, "shape", (TILE_PX, TILE_PX))
+    assert nearest_fitted(ROW, [1, 5], 4) == 5
+    assert nearest_fitted(ROW, [1, 5], 2) == 1
+
+
+def test_a_neighbour_is_of_the_same_channel_and_range() -> None:
+    others = [tile(3), tile(3, "R"), tile(3, range_mm=1260.0)]
+    assert nearest_fitted(others, [1, 2], 0) is None
+
+
+def test_tiles_next_to_fitted_ones_come_first_and_one_of_a_new_colour() -> None:
+    observations = [*ROW, tile(4, "R"), tile(5, "R")]
+    stds = {k: abs(k - 4.9) for k in range(10) if k != 5} | {10: 0.9, 11: 0.1}
+    assert best_predicted(observations, [5], stds, 3) == [4, 6, 3, 11]
+
+
+def test_the_clearest_photographs_of_a_tile_are_farthest_from_focus() -> None:
+    observations = [tile(3), tile(3, range_mm=1260.0), tile(4)]
+    assert clearest(observations, {0: -0.1, 1: 0.3, 2: 0.0}) == [1, 2]
