@@ -6,12 +6,15 @@ true ones midway between the carpets, where nothing was measured. FOLDER is kept
 
 PSNR is 20 log10 of the true PSF's peak over the RMS error in a square of WINDOW_PX pixels about the chief ray. PSFs of the
 optics alone, four samples to lambda N, the true one moved to fit; one focus, common to all points and colours, is fitted too.
+
+`python -m benchmarks.real_field --expansions` needs no photographs: the true modes are expanded over the frame, and the PSNR is
+what each order in the field and each number of modes leave along the frame's diagonal.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -22,11 +25,11 @@ from benchmarks.psf_errors import REACH, SAMPLES_PER_AIRY, moved_to_fit, true_ps
 from benchmarks.real_lens import REAL_LENS
 from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.field import FieldTerms, um_per_wave
-from labkit.drivers.simulated.optics import REFERENCE_NM
+from labkit.drivers.simulated.optics import REFERENCE_NM, working_f_number
 from labkit.drivers.simulated.view import View
 from labkit.drivers.simulated.world import TrueLens, TruePose
 from labkit.drivers.simulated.zernike_table import read_table
-from labkit.optics.field import FieldModel
+from labkit.optics.field import FieldFrame, FieldModel, field_terms
 from labkit.optics.metrics import psf_value
 from labkit.optics.wavefront import DEFOCUS
 from labkit.results import Results
@@ -37,6 +40,13 @@ BEST_MM = 200.0
 WINDOW_PX = 16
 STATIONS = (-0.6, 0.0, 0.6)
 """Defocus on the axis at each range, waves RMS at 450 nm."""
+
+DENSE = (11, 13)
+"""Rows and columns of places at which true modes are expanded."""
+EXPANSIONS = ((4, 15), (4, 37), (6, 37), (8, 15))
+"""Radial order in the field, and the last of Noll's modes."""
+ALONG_DIAGONAL = (0.25, 0.5, 0.75, 0.95)
+"""Places from the middle to the corner of the frame."""
 
 
 def session_of(grid: tuple[int, int], f_number: float) -> FieldSession:
@@ -111,14 +121,67 @@ def apart_db(
         yield angle, colour, float(20 * np.log10(exact.max() / np.sqrt(np.mean(error**2))))
 
 
+def expanded(
+    view: View, session: FieldSession, order: int, modes: Sequence[int]
+) -> FieldModel:
+    """Return the expansion of the true modes over the frame, by least squares at DENSE places."""
+    sensor, lens = session.settings.sensor, session.settings.lens
+    frame = FieldFrame((sensor.rows, sensor.cols), PITCH_UM)
+    down, right = ((np.arange(n) + 0.5) / n for n in DENSE)
+    places = [(y * sensor.rows, x * sensor.cols) for y in down for x in right]
+    terms = field_terms(order)
+    polynomials = frame.polynomials(terms, places).T
+    channels = tuple(lens.wavelength_nm)
+    waves = []
+    for channel in channels:
+        true = [view.waves(channel, place) for place in places]
+        wanted = np.array([[of.get(j, 0.0) for j in modes] for of in true])
+        waves.append(np.linalg.lstsq(polynomials, wanted)[0])
+    size = len(channels) * len(terms) * len(modes)
+    return FieldModel(
+        frame,
+        channels,
+        terms,
+        tuple(modes),
+        np.array(waves),
+        np.zeros((size, size)),
+        tuple(lens.wavelength_nm.values()),
+        REFERENCE_NM,
+        working_f_number(
+            lens.f_number, BEST_MM, lens.focal_length_mm, lens.pupil_magnification
+        ),
+    )
+
+
+def compare_expansions(session: FieldSession) -> None:
+    """Print the PSNR along the diagonal that expansions of the true modes leave."""
+    bench = Bench(session.settings)
+    position_mm = sorted(session.ranges_mm)[1] - session.settings.rail.range_at_zero_mm
+    bench.turn_screw(position_mm)
+    bench.stand(position_mm)
+    half = np.array([session.settings.sensor.rows, session.settings.sensor.cols]) / 2
+    places = [tuple(half * (1 + share) - 0.5) for share in ALONG_DIAGONAL]
+    for order, last in EXPANSIONS:
+        model = expanded(bench.view, session, order, range(DEFOCUS, last + 1))
+        left = sorted(apart_db(bench.view, model, places))
+        shown = "  ".join(f"{angle:.0f}° {colour} {db:.1f}" for angle, colour, db in left)
+        print(f"order {order}, modes to {last}: {shown} dB")
+
+
 def main() -> None:
     """Make, fit and compare; print a line for each held-out point and the least and the median of all."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("folder", type=Path, nargs="?")
+    parser.add_argument("--expansions", action="store_true")
     parser.add_argument("--grid", type=int, nargs=2, default=(4, 5))
     parser.add_argument("--f-number", type=float, default=2.8)
     asked = parser.parse_args()
     session = session_of((asked.grid[0], asked.grid[1]), asked.f_number)
+    if asked.expansions:
+        compare_expansions(session)
+        return
+    if asked.folder is None:
+        parser.error("a folder is needed for photographs, or --expansions")
     asked.folder.mkdir(parents=True, exist_ok=True)
     results = fitted(session, asked.folder)
     if results.field is None:

@@ -40,9 +40,9 @@ class FieldSettings(Table):
     pitch_px: Annotated[Number, AfterValidator(Allowed(16, 100_000))] | None = None
     """Side of the tiles into which a single large target is cut, instead of `tiles`. Default: none."""
     order: (
-        Annotated[Count, AfterValidator(Allowed(0, MOST_FIELD_ORDER, whole=True))] | None
+        Annotated[Count, AfterValidator(Allowed(1, MOST_FIELD_ORDER, whole=True))] | None
     ) = None
-    """Highest radial order of the polynomials in the place on the frame; 0 is a wavefront that is the same everywhere.
+    """Highest radial order of the polynomials in the place on the frame: 1 for tilt and decentre alone, 2 with curvature.
     Default: as high as the photographs show."""
 
     @property

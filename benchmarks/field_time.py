@@ -1,0 +1,84 @@
+"""Time and memory of a field's fit: `python -m benchmarks.field_time FOLDER [--grid 3 4]`, tiles of 64 × 64 pixels in green.
+
+A session of a lens that changes little over its frame is made in FOLDER, at two ranges, where it is missing, and is fitted in
+this process. Processor time is counted, because other programs do not change it much: of each search, and of the whole.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from time import process_time
+
+import numpy as np
+
+import labkit
+from benchmarks.field_sessions import LENS, FieldSession, field_session, make
+from labkit.drivers.simulated.field import FieldTerms
+from labkit.execute import Result, Task, pin_threads
+from labkit.session.import_frames import import_frames
+
+SMOOTH = FieldTerms(
+    field_curvature_per_mm=-0.0012,
+    sensor_tilt_um_per_mm=(0.6, -0.4),
+    coma_waves=(0.03, -0.02),
+    coma_per_mm=0.005,
+    astigmatism_per_mm=(0.0015, -0.0025),
+    astigmatism_per_mm2=0.001,
+    k1_per_mm2=0.00005,
+)
+RANGES_MM = (1180.0, 1260.0)
+TILE_PX = 128
+"""Of the raw image; green has half of its pixels."""
+
+
+@dataclass
+class Timed:
+    """Makes tasks in this process, and keeps the processor time of each, s."""
+
+    seconds: list[float] = field(default_factory=list)
+
+    def __call__(
+        self, function: Callable[[Task], Result], tasks: Sequence[Task]
+    ) -> Iterator[tuple[int, Result]]:
+        """Yield the index and the result of each task."""
+        for index, task in enumerate(tasks):
+            began = process_time()
+            result = function(task)
+            self.seconds.append(process_time() - began)
+            yield index, result
+
+
+def session_of(grid: tuple[int, int]) -> FieldSession:
+    """Return a session of a grid of carpets of third order."""
+    lens = replace(LENS, field_terms=SMOOTH)
+    return field_session(grid, RANGES_MM, lens, seed=5, tile_px=TILE_PX, order=3)
+
+
+def main() -> None:
+    """Make the session, fit green, and print times and memory."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--grid", type=int, nargs=2, default=(3, 4))
+    asked = parser.parse_args()
+    photographs, kept = asked.folder / "photographs", asked.folder / "session"
+    if not photographs.exists():
+        make(session_of(tuple(asked.grid)), photographs)
+    if not kept.exists():
+        import_frames(photographs / "frames.csv", photographs / "plan.toml", kept)
+    timed, began = Timed(), process_time()
+    results = labkit.fit(kept, channels="G", run=timed)
+    whole, count = process_time() - began, len(results.wavefronts)
+    accepted = sum(one.accepted for one in results.wavefronts)
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    print(f"{accepted} of {count} fits accepted, {len(timed.seconds)} searches")
+    print(f"a search: {np.median(timed.seconds):.2f} s in the median")
+    print(f"all: {whole:.1f} s, {whole / count:.2f} s a fit, {most:.2f} GB")
+
+
+if __name__ == "__main__":
+    pin_threads()
+    main()
