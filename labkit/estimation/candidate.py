@@ -54,6 +54,7 @@ class Measured:
     calibration : (values, values) part of the covariance due to errors of the flat frames
     foreshortening : ln of the scale along the tilt axis of the target less ln of the mean scale; and its standard error
     parts : labels of the parts' numbers
+    stretch : by how much the target's picture is longer in one direction than across, see `Pose.log_stretch`
     model : (values, values) part of the covariance due to residuals that are not noise alone; (1, 1), 0 if they are noise
     """
 
@@ -63,6 +64,7 @@ class Measured:
     calibration: Floats
     foreshortening: tuple[float, float] = (0.0, 0.0)
     parts: tuple[str, ...] = ()
+    stretch: tuple[float, float] = (0.0, 0.0)
     model: Floats = field(default_factory=lambda: np.zeros((1, 1)))
 
     @property

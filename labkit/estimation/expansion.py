@@ -185,13 +185,15 @@ class Expansion:
         pulled = self.projection @ covariance
         flats, _ = self._scattered
         at = self.camera.stop + np.arange(POSE_SIZE)
+        pose = self.moved(step).poses[0]
         return Measured(
             self.optics.noll,
             self.values + self.projection @ self.within(step, covariance),
             pulled @ self.projection.T,
             pulled @ flats @ pulled.T,
-            _foreshortening(self.moved(step).poses[0], covariance[np.ix_(at, at)]),
+            _foreshortening(pose, covariance[np.ix_(at, at)]),
             self.optics.camera_labels,
+            pose.log_stretch(),
         )
 
     def sandwich(self, measured: Measured) -> Measured:

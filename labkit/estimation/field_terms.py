@@ -1,9 +1,9 @@
 """Columns of the field's expansion: how the modes, the cone and the scale of a tile depend on its place in the frame.
 
-The mean over the field, or for defocus the middle of the frame, has the columns of an untiled session. Here are the field's
-Zernike polynomials from tilt on, each times a mode, the cone or the scale. Every kind and order of them has a standard
-deviation of its own, for which the marginal likelihood of the session is largest: of an order that is not there it tends to 0.
-So no order has to be chosen (M. E. Tipping, J. Mach. Learn. Res. 1, 211 (2001)).
+The mean over the field, or for values that follow a law the middle of the frame, has the columns of an untiled session. Here
+are the field's Zernike polynomials from tilt on, each times a mode, the cone or the scale. Every kind and order of them has a
+standard deviation of its own, for which the marginal likelihood of the session is largest: of an order that is not there it
+tends to 0. So no order has to be chosen (M. E. Tipping, J. Mach. Learn. Res. 1, 211 (2001)).
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ Family = tuple[str, int, int, bool]
 """Kind of a column, radial order in the field, radial order in the pupil (0 for cone and scale), and whether the azimuthal
 orders are alike: a lens that is rotationally symmetric has no other terms."""
 
-TILT_ORDER = 2
-"""Radial order in the field up to which a tilted plane changes the scale beyond its error."""
+LEAN = (3, 2)
+"""Field polynomials that are slopes, down and right: of the scale they are the target's lean at each station."""
 
 BEFORE: Mapping[str, float] = {
     FIELD_MODE: SETTINGS.field_waves,
@@ -62,7 +62,7 @@ def common_columns(
 ) -> Iterator[Column]:
     """Yield the columns that all channels share: modes, cone and scale times the field's polynomials up to an order.
 
-    The target's tilt changes the scale at each station in its own way.
+    Slopes of the scale are the target's lean, another one at each station.
 
     Parameters
     ----------
@@ -75,10 +75,12 @@ def common_columns(
         for j in noll:
             yield _column(FIELD_MODE, (k, j), spread)
         yield _column(FIELD_CONE, (k,), spread)
-        yield _column(FIELD_SCALE, (k,), spread)
-    for station in stations:
-        for k in field_terms(min(order, TILT_ORDER))[1:]:
-            yield Column(FIELD_TILT, SETTINGS.loose, name=(station, k))
+        if k not in LEAN:
+            yield _column(FIELD_SCALE, (k,), spread)
+    if order > 0:
+        for station in stations:
+            for k in LEAN:
+                yield Column(FIELD_TILT, SETTINGS.loose, name=(station, k))
 
 
 def own_columns(
@@ -116,19 +118,20 @@ def polynomials(order: int, places: Floats, noll: Sequence[int], values: int) ->
     rows[:, [*range(len(noll)), values - 2, values - 1]] = modes_at(
         terms, places[:, 1], places[:, 0]
     ).T[:, None]
-    rows[:, noll.index(DEFOCUS), 1:] -= [in_the_middle(k) for k in terms[1:]]
+    by_laws = noll.index(DEFOCUS), values - 2, values - 1
+    rows[:, by_laws, 1:] -= [in_the_middle(k) for k in terms[1:]]
     rows[:, :, 0] = 1.0
     return rows
 
 
 def coefficient(column: Column, order: int, noll: Sequence[int], values: int) -> int | None:
     """Return the place among the coefficients (values, terms) of `polynomials` to which a column adds; None if to none."""
-    last = {FIELD_CONE: values - 2, FIELD_SCALE: values - 1, FIELD_TILT: values - 1}
+    last = {FIELD_CONE: values - 2, FIELD_SCALE: values - 1}
     if column.kind in (FIELD_MODE, FIELD_COLOUR):
         k, j = column.name
         row = noll.index(int(j))
     elif column.kind in last:
-        k, row = column.name[-1], last[column.kind]
+        k, row = column.name[0], last[column.kind]
     else:
         return None
     return row * len(field_terms(order)) + int(k) - 1

@@ -17,6 +17,7 @@ import numpy as np
 
 from labkit.estimation.candidate import Reading
 from labkit.estimation.field_terms import (
+    LEAN,
     Family,
     coefficient,
     common_columns,
@@ -36,6 +37,7 @@ from labkit.estimation.laws import (
     LATERAL_COLOUR,
     MAGNIFICATION,
     MODE,
+    ONLY_MISTAKEN,
     PART,
     PIXEL_PITCH,
     RANGE_ZERO,
@@ -48,6 +50,7 @@ from labkit.estimation.laws import (
     Name,
     Place,
 )
+from labkit.estimation.lean import LeaningTarget
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import Stated
 from labkit.imaging.parts import ESTIMATED
@@ -57,8 +60,8 @@ from labkit.optics.lens import USUAL_LOG_MAGNIFICATION, ThinLens, defocus_waves
 from labkit.optics.wavefront import DEFOCUS
 from labkit.types import Bools, Floats, Indices
 
-ONLY_MISTAKEN: tuple[Place, ...] = ((PIXEL_PITCH, ()), (WAVELENGTH, ()))
-"""Parameters that are exact unless they are a mistake: pixel pitch, and a common factor of all wavelengths."""
+ARGUMENTS = 8
+"""Number of arguments of the nonlinear laws."""
 
 DERIVATIVE_STEP = 1e-3
 """Step of numerical derivatives by an argument over its size, or over 1 if it is smaller: slopes err by 1e-9 at most."""
@@ -302,9 +305,12 @@ class LensModel:
 
     @property
     def _law_rows(self) -> list[int]:
-        """Constant coefficients of defocus, ln of the f-number and ln of the scale, which follow nonlinear laws."""
-        rows = (self.defocus, self.values - 2, self.values - 1)
-        return [row * self.terms for row in rows]
+        """Coefficients that follow nonlinear laws: defocus and ln of the f-number in the middle, and all of ln of the scale."""
+        defocus, cone, scale, end = (
+            row * self.terms
+            for row in (self.defocus, self.values - 2, self.values - 1, self.values)
+        )
+        return [defocus, cone, *range(scale, end)]
 
     @property
     def _of_modes(self) -> slice:
@@ -378,18 +384,19 @@ class LensModel:
 
     @cached_property
     def _map(self) -> tuple[Floats, Floats, Floats]:
-        """Linear map from parameters to the coefficients without the laws, followed by the six arguments of the laws.
+        """Linear map from parameters to the coefficients without the laws, followed by the arguments of the laws.
 
-        The arguments are f, N, ln mp, true range, best focus of the channel, best focus of the reference.
+        The arguments are f, N, ln mp, true range, best focus of the channel, best focus of the reference, and the target's lean
+        down and right: how much nearer it comes, relative, over half the frame's diagonal.
 
         Returns
         -------
-        (exposures, values x terms + 6) for parameters that are 0; derivatives of these by the columns and by the local columns
+        (exposures, values x terms + 8) for parameters that are 0; derivatives of these by the columns and by the local columns
         """
         size = self.values * self.terms
-        true_range = size + 3
+        true_range, lean = size + 3, size + 6
         exposed = self._exposed
-        offset = np.zeros((len(exposed), size + 6))
+        offset = np.zeros((len(exposed), size + ARGUMENTS))
         offset[:, true_range] = [reading.range_mm for reading in exposed]
         by_channel = {channel: self._channel_map(channel) for channel in self.channels}
         common = np.array([by_channel[reading.key.channel] for reading in exposed])
@@ -398,11 +405,10 @@ class LensModel:
             for homing, times in Counter(reading.homings).items():
                 if (column := self._places.get((HOMING_LABEL, (homing,)))) is not None:
                     common[k, true_range, column] = times / len(reading.homings)
-        for at, tilt in enumerate(self.columns):
-            if tilt.kind == FIELD_TILT:
-                elsewhere = [reading.station != tilt.name[0] for reading in exposed]
-                common[elsewhere, :, at] = 0.0
-        own = np.zeros((len(exposed), size + 6, len(self.local_columns)))
+            for axis, slope in enumerate(LEAN if self.field_order else ()):
+                column = self.index(FIELD_TILT, reading.station, slope)
+                common[k, lean + axis, column] = 1.0
+        own = np.zeros((len(exposed), size + ARGUMENTS, len(self.local_columns)))
         for row, at in self._coefficients_of(self.local_columns):
             own[:, row, at] = 1.0
         return offset, common, own
@@ -415,11 +421,11 @@ class LensModel:
                 yield row, at
 
     def _channel_map(self, channel: str) -> Floats:
-        """Return derivatives (values x terms + 6, columns) that all exposures of a channel have in common."""
+        """Return derivatives (values x terms + 8, columns) that all exposures of a channel have in common."""
         size = self.values * self.terms
-        cone, scale = self._law_rows[1:]
+        cone, scale = self._law_rows[1:3]
         first, true_range = size, size + 3
-        rows = np.zeros((size + 6, len(self.columns)))
+        rows = np.zeros((size + ARGUMENTS, len(self.columns)))
         for row, at in self._coefficients_of(self.columns):
             rows[row, at] = 1.0
         entries: list[tuple[int | list[int], Place]] = [
@@ -447,33 +453,33 @@ class LensModel:
         return rows
 
     def _sums(self, theta: Floats, local: Floats) -> Floats:
-        """Return coefficients without the laws, and the laws' arguments, (exposures, values x terms + 6)."""
+        """Return coefficients without the laws, and the laws' arguments, (exposures, values x terms + 8)."""
         offset, common, own = self._map
         return np.asarray(
             offset + common @ theta + np.einsum("nrl,nl->nr", own, local[self.blocks])
         )
 
     def _laws(self, arguments: Floats) -> Floats:
-        """Return defocus in waves RMS, ln of the working f-number and ln of the scale, (3, ...), for arguments (6, ...)."""
+        """Return defocus, waves RMS, ln of the f-number, and coefficients of ln of the scale, of arguments (8, ...)."""
         f, n, pupils = arguments[:3]
         lens = ThinLens(
             *cast(tuple[float, float, float], (f, n, np.exp(pupils)))
         )  # arrays of lenses
-        ranges, focus, reference = np.maximum(arguments[3:], 1.01 * f)
+        ranges, focus, reference = np.maximum(arguments[3:6], 1.01 * f)
         colour = lens.in_colour(focus, reference)
         ranges = np.maximum(ranges, 1.01 * colour.focal_length_mm)
-        return np.stack(
-            [
-                defocus_waves(
-                    colour, ranges, focus, self.stated.reference_nm, self.stated.convention
-                ),
-                np.log(colour.working_f_number(focus)),
-                np.log(lens.chief_ray_scale(ranges, reference)),
-            ]
-        )
+        scale = self._target.log_scale(arguments[6:])
+        scale[0] += np.log(lens.chief_ray_scale(ranges, reference))
+        stated = self.stated
+        waves = defocus_waves(colour, ranges, focus, stated.reference_nm, stated.convention)
+        return np.stack([waves, np.log(colour.working_f_number(focus)), *scale])
+
+    @cached_property
+    def _target(self) -> LeaningTarget:
+        return LeaningTarget.of(self.field_order, self.readings, self.exposures)
 
     def _law_slopes(self, arguments: Floats) -> Floats:
-        """Differentiate the laws by their arguments, (3, 6, n), by central differences of fourth order."""
+        """Differentiate the laws by their arguments, (laws, 8, n), by central differences of fourth order."""
         steps = DERIVATIVE_STEP * np.maximum(np.abs(arguments), 1.0)
         moves = steps[:, None] * np.eye(len(steps))[:, :, None]
         times = np.array([1.0, -1.0, 2.0, -2.0])[:, None, None]

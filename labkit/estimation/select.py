@@ -22,6 +22,7 @@ from labkit.estimation.candidate import (
     mostly_unexplained,
 )
 from labkit.estimation.laws import Laws
+from labkit.estimation.lean import foreshortenings
 from labkit.estimation.lens_fit import (
     LensFit,
     Measurements,
@@ -56,7 +57,7 @@ class Options:
     covariance : (n, options, values, values)
     gain : (n, options) log-likelihood relative to the observation's best candidate; -inf for padding
     cost : (n,) penalty, in log-likelihood, for leaving an observation out
-    foreshortening : (n, options, 2), see `Measured`
+    foreshortening : (n, options, 2), see `Measured`; 0 where the model has the target's lean
     """
 
     values: Floats
@@ -94,7 +95,8 @@ class Options:
                 options.covariance[at] = measured.covariance
                 options.covariance[at] *= 1.0 if candidate.explained else growth
                 options.gain[at] = candidate.log_likelihood - best
-                options.foreshortening[at] = measured.foreshortening
+                if not model.field_order:
+                    options.foreshortening[at] = measured.foreshortening
         return options
 
 
@@ -332,17 +334,17 @@ def exact_lens(
     """
     known = [one for one in chosen if one is not None]
     parts = tuple(dict.fromkeys(label for one in known for label in one.parts))
-    n = len(readings)
-    size = len(known[0].noll) + len(parts) + 2
+    model = LensModel(tuple(readings), known[0].noll, parts, stated, laws or Laws())
+    n, size = len(readings), model.values
     values = np.zeros((n, size))
-    tilts = np.zeros((n, 2))
+    tilts = foreshortenings(readings, chosen, members, tiled=model.field_order > 0)
     covariance = np.broadcast_to(np.eye(size), (n, size, size)).copy()
     calibration = np.zeros((n, size, size))
     surplus = np.zeros((n, size, size))
     for k, one in enumerate(chosen):
         if one is not None:
             one = one.labelled(parts)
-            values[k], tilts[k] = one.values, one.foreshortening
+            values[k] = one.values
             covariance[k] = one.covariance
             calibration[k] = one.calibration
             surplus[k] = one.model
@@ -352,10 +354,7 @@ def exact_lens(
     if common is None:
         covariance[:, -1, -1] += tilts[:, 1] ** 2
     measured = Measurements(values, covariance, calibration, surplus, members)
-    model = LensModel(
-        tuple(readings), known[0].noll, parts, stated, laws or Laws(), tilt_std
-    )
-    lens = fit_field(model, measured)
+    lens = fit_field(replace(model, tilt_std=tilt_std), measured)
     model = lens.model
     stations = {
         one.station for one, member in zip(readings, members, strict=True) if member

@@ -138,6 +138,22 @@ class Pose:
         along = np.log(np.where(upright, 1.0, seen) / np.where(upright, 1.0, length))
         return np.asarray(np.where(upright, 0.0, along - 0.5 * area))
 
+    def log_stretch(self) -> tuple[float, float]:
+        """Return a cos 2 phi and a sin 2 phi of the picture at the target's centre, longest in the direction phi.
+
+        a is half ln of its length over that across, phi from right (along the rows) towards down.
+        """
+        v, sides = self.v, self.half_size_mm
+        along = [
+            [v[1] - v[0] * v[6], v[2] - v[0] * v[7]],
+            [v[4] - v[3] * v[6], v[5] - v[3] * v[7]],
+        ] / np.array(sides)
+        (down, mixed), (_, right) = along @ along.T
+        away = np.array([right - down, 2 * mixed]) / (down + right)
+        length = float(np.hypot(*away))
+        a, b = away * (np.arctanh(length) / length if length else 1.0) / 2
+        return float(a), float(b)
+
     def jacobian(self, row: Floats, col: Floats) -> tuple[Floats, Floats]:
         """Return derivatives (8, ...) of row and of col by v, for the target's points at these pixels."""
         y, x, one = (

@@ -120,6 +120,17 @@ def test_the_mean_scale_is_less_by_half_of_ln_cos_of_a_tilt_and_its_slopes_are_d
         assert slope == pytest.approx((high - low) / (2 * step.sum()), rel=1e-6, abs=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("tilts_deg", "along_rows"), [((8.0, 0.0), 1.0), ((0.0, -5.0), -1.0)]
+)
+def test_a_leaning_target_is_longest_along_the_line_that_does_not_recede(
+    tilts_deg: tuple[float, float], along_rows: float
+) -> None:
+    cosine = np.cos(np.radians(np.sum(tilts_deg)))
+    wanted = (-0.5 * np.log(cosine) * along_rows, 0.0)
+    assert pinhole(tilts_deg, 0.0).log_stretch() == pytest.approx(wanted, abs=1e-12)
+
+
 def test_the_motion_of_points_is_its_finite_difference(pose: Pose) -> None:
     row, col = np.random.default_rng(5).uniform(12, 40, (2, 20))
     y, x = pose.to_target(row, col)

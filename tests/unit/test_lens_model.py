@@ -1,4 +1,4 @@
-"""The laws that a session's observations follow, against the printed ones, whose slopes are complex steps."""
+"""The laws that a session's observations follow, against the printed ones, whose slopes are complex steps, and a pinhole."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import pytest
 from labkit.estimation.candidate import Reading
 from labkit.estimation.laws import (
     AXIAL_COLOUR,
+    FIELD_TILT,
     FOCAL_LENGTH,
     FOCUS,
     LATERAL_COLOUR,
@@ -20,10 +21,12 @@ from labkit.estimation.laws import (
     WAVELENGTH,
     Laws,
 )
+from labkit.estimation.lean import foreshortenings
 from labkit.estimation.lens_model import LensModel
 from labkit.key import Key
+from labkit.optics.lens import ThinLens
 from labkit.types import Floats
-from tests.lens_samples import COLOURS, laws, reading, stated
+from tests.lens_samples import COLOURS, laws, measured, reading, stated
 
 NOLL = (4, 6, 11)
 TILES = ((0, 0), (0, 1), (1, 1))
@@ -34,6 +37,7 @@ STEPS_LABEL = {
     FOCAL_LENGTH: 0.6,
     MAGNIFICATION: 0.1,
     WAVELENGTH: 1e-3,
+    FIELD_TILT: 0.0,
 }
 """How far a point is off in a parameter, in its unit; 0.01 in others."""
 
@@ -93,8 +97,11 @@ def true_values(model: LensModel, theta: Any, own: Any, k: int) -> Any:
                 for mode, j in zip([waves, *upper], NOLL, strict=True)
             )
             cone = cone + height * at("cone over the field", k)
-            tilt = at("target's tilt over the field", here.station, k)
-            scale = scale + height * (at("scale over the field", k) + tilt)
+        # near no lean: the range is that of the tiles' middle
+        middle = np.mean([one.place for one in model.readings], axis=0)
+        for k, place, of in zip((3, 2), here.place, middle, strict=True):
+            lean = at("target's tilt over the field", here.station, k)
+            scale = scale + lean * (1.5 * place - of)
     wavelength = at("wavelength", channel) + (at("wavelength") if common_light else 0.0)
     modes = [mode * np.exp(-wavelength) for mode in (waves, *upper)]
     pitch = at("pixel pitch") if model.laws.mistaken == (PIXEL_PITCH, ()) else 0.0
@@ -145,6 +152,64 @@ def test_slopes_are_those_of_the_printed_laws(model: LensModel) -> None:
         np.testing.assert_allclose(
             own_slopes[k], wanted.reshape(own_slopes[k].shape), rtol=1e-9, atol=1e-10
         )
+
+
+def picture(turn: Floats, at_mm: Floats, away_mm: float, image_mm: float) -> Floats:
+    """Points (n, 2) of a plane turned about its middle, as a pinhole shows them."""
+    turned = at_mm @ turn[:, :2].T
+    return np.asarray(image_mm * turned[:, :2] / (away_mm + turned[:, 2:]))
+
+
+def turned_by(down_deg: float, right_deg: float) -> Floats:
+    """The rotation (3, 3), down, right and away, of a target that leans."""
+    (down, right), (c, s) = np.radians([down_deg, right_deg]), (np.cos, np.sin)
+    about_right = [[c(down), 0, -s(down)], [0, 1, 0], [s(down), 0, c(down)]]
+    about_down = [[1, 0, 0], [0, c(right), -s(right)], [0, s(right), c(right)]]
+    return np.array(about_down) @ np.array(about_right)
+
+
+@pytest.mark.parametrize("lean_deg", [(0.0, 0.0), (4.0, -2.0), (-3.0, 8.0)])
+def test_sizes_of_a_leaning_grid_are_those_of_a_pinhole(
+    lean_deg: tuple[float, float],
+) -> None:
+    lens, focus_mm, range_mm = ThinLens(60.0, 4.0, 1.3), 500.0, 510.0
+    image_mm = float(lens.pupil_to_image_mm(focus_mm)) / lens.pupil_magnification
+    away_mm = range_mm - 60.0 + 60.0 / lens.pupil_magnification
+    turn, tiles = turned_by(*lean_deg), [*np.ndindex(4, 6)]
+    at_mm = 20.0 * (np.array(tiles) - [1.5, 2.5])
+    seen = [
+        picture(turn, at_mm + move, away_mm, image_mm)
+        for move in 1e-3 * np.array([[0, 0], [-1, 0], [1, 0], [0, -1], [0, 1]])
+    ]
+    linear = np.stack([seen[2] - seen[1], seen[4] - seen[3]], axis=-1) / 2e-3
+    sizes = np.log(np.linalg.det(linear)) / 2
+    radius_mm = 8.0
+    readings = [
+        replace(reading(range_mm, "G", tile), place=tuple(at))
+        for tile, at in zip(tiles, seen[0] / radius_mm, strict=True)
+    ]
+    model = LensModel(tuple(readings), NOLL, (), stated(60.0, 4.0))
+    theta = model.centre.copy()
+    theta[model.index(FOCUS)] = focus_mm
+    theta[model.index(MAGNIFICATION)] = np.log(lens.pupil_magnification)
+    nearer = turn[:2, 2] / turn[2, 2] * radius_mm / image_mm
+    for k, lean in zip((3, 2), nearer, strict=True):
+        theta[model.index(FIELD_TILT, range_mm, k)] = lean
+    predicted = model.predicted(theta, np.zeros((1, 0)))[:, -1]
+    cosine = turn[2, 2]
+    # measured 1e-9 and 4e-8
+    assert predicted == pytest.approx(sizes - np.log(cosine) / 2, abs=7e-8)
+    axes, lengths, _ = np.linalg.svd(linear)
+    longer = np.log(lengths[:, 0] / lengths[:, 1]) / 2
+    twice = 2 * np.arctan2(axes[:, 0, 0], axes[:, 1, 0])
+    stretches = longer[:, None] * np.stack([np.cos(twice), np.sin(twice)], axis=1)
+    shapes = [
+        replace(measured(np.zeros(3)), stretch=(float(a), float(b))) for a, b in stretches
+    ]
+    every = np.ones(len(tiles), bool)
+    found = foreshortenings(readings, shapes, every, tiled=True)[:, 0]
+    # measured 4e-5 at 8.5 degrees: what is of second order over the frame
+    assert found == pytest.approx(-np.log(cosine) / 2, abs=6e-5)
 
 
 def test_light_as_stated_has_no_slope_by_its_wavelength() -> None:
