@@ -162,9 +162,9 @@ TEXTS = {
     ),
     "tilt-untested": "{words}",
     "perspective-contradicted": (
-        "by the places of its tiles the target leans otherwise at each range, which should move the focus over the frame; "
-        "{share_words} of that move is there, not 1: the sensor's tilt is estimated with this share; check that the target is "
-        "flat, and that no program straightened the photographs"
+        "by the places of its tiles the target is tilted differently at each range, which should move the focus over the "
+        "frame; {share_words} of that move is there, not 1: the sensor's tilt is estimated with this share; check that the "
+        "target is flat, and that no program straightened the photographs"
     ),
     # edges
     "ranges-not-determined": (

@@ -32,8 +32,8 @@ Family = tuple[str, int, int, bool]
 """Kind of a column, radial order in the field, radial order in the pupil (0 for cone and scale), and whether the azimuthal
 orders are alike: a lens that is rotationally symmetric has no other terms."""
 
-LEAN = (3, 2)
-"""Field polynomials that are slopes, down and right: of the scale they are the target's lean at each station."""
+TARGET_SLOPES = (3, 2)
+"""Field polynomials that are slopes, down and right: of the scale they are the target's tilt at each station."""
 
 BEFORE: Mapping[str, float] = {
     FIELD_MODE: SETTINGS.field_waves,
@@ -62,7 +62,7 @@ def common_columns(
 ) -> Iterator[Column]:
     """Yield the columns that all channels share: modes, cone and scale times the field's polynomials up to an order.
 
-    Slopes of the scale are the target's lean, another one at each station.
+    Slopes of the scale are the target's tilt, another one at each station.
 
     Parameters
     ----------
@@ -75,11 +75,11 @@ def common_columns(
         for j in noll:
             yield _column(FIELD_MODE, (k, j), spread)
         yield _column(FIELD_CONE, (k,), spread)
-        if k not in LEAN:
+        if k not in TARGET_SLOPES:
             yield _column(FIELD_SCALE, (k,), spread)
     if order > 0:
         for station in stations:
-            for k in LEAN:
+            for k in TARGET_SLOPES:
                 yield Column(FIELD_TILT, SETTINGS.loose, name=(station, k))
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from labkit.estimation.candidate import Reading
 from labkit.estimation.field_terms import (
-    LEAN,
+    TARGET_SLOPES,
     Family,
     coefficient,
     common_columns,
@@ -50,9 +50,9 @@ from labkit.estimation.laws import (
     Name,
     Place,
 )
-from labkit.estimation.lean import LeaningTarget
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import Stated
+from labkit.estimation.tilted_target import TiltedTarget
 from labkit.imaging.parts import ESTIMATED
 from labkit.key import Key
 from labkit.optics.field import field_terms
@@ -386,7 +386,7 @@ class LensModel:
     def _map(self) -> tuple[Floats, Floats, Floats]:
         """Linear map from parameters to the coefficients without the laws, followed by the arguments of the laws.
 
-        The arguments are f, N, ln mp, true range, best focus of the channel, best focus of the reference, and the target's lean
+        The arguments are f, N, ln mp, true range, best focus of the channel, best focus of the reference, and the target's tilt
         down and right: how much nearer it comes, relative, over half the frame's diagonal.
 
         Returns
@@ -394,7 +394,7 @@ class LensModel:
         (exposures, values x terms + 8) for parameters that are 0; derivatives of these by the columns and by the local columns
         """
         size = self.values * self.terms
-        true_range, lean = size + 3, size + 6
+        true_range, tilt = size + 3, size + 6
         exposed = self._exposed
         offset = np.zeros((len(exposed), size + ARGUMENTS))
         offset[:, true_range] = [reading.range_mm for reading in exposed]
@@ -405,9 +405,9 @@ class LensModel:
             for homing, times in Counter(reading.homings).items():
                 if (column := self._places.get((HOMING_LABEL, (homing,)))) is not None:
                     common[k, true_range, column] = times / len(reading.homings)
-            for axis, slope in enumerate(LEAN if self.field_order else ()):
+            for axis, slope in enumerate(TARGET_SLOPES if self.field_order else ()):
                 column = self.index(FIELD_TILT, reading.station, slope)
-                common[k, lean + axis, column] = 1.0
+                common[k, tilt + axis, column] = 1.0
         own = np.zeros((len(exposed), size + ARGUMENTS, len(self.local_columns)))
         for row, at in self._coefficients_of(self.local_columns):
             own[:, row, at] = 1.0
@@ -475,8 +475,8 @@ class LensModel:
         return np.stack([waves, np.log(colour.working_f_number(focus)), *scale])
 
     @cached_property
-    def _target(self) -> LeaningTarget:
-        return LeaningTarget.of(self.field_order, self.readings, self.exposures)
+    def _target(self) -> TiltedTarget:
+        return TiltedTarget.of(self.field_order, self.readings, self.exposures)
 
     def _law_slopes(self, arguments: Floats) -> Floats:
         """Differentiate the laws by their arguments, (laws, 8, n), by central differences of fourth order."""

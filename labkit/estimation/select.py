@@ -22,7 +22,6 @@ from labkit.estimation.candidate import (
     mostly_unexplained,
 )
 from labkit.estimation.laws import Laws
-from labkit.estimation.lean import foreshortenings
 from labkit.estimation.lens_fit import (
     LensFit,
     Measurements,
@@ -35,6 +34,7 @@ from labkit.estimation.lens_model import LensModel
 from labkit.estimation.mistakes import possible_mistakes, with_mistakes
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import Stated
+from labkit.estimation.tilted_target import foreshortenings
 from labkit.key import Key
 from labkit.types import Bools, Floats, Indices
 
@@ -57,7 +57,7 @@ class Options:
     covariance : (n, options, values, values)
     gain : (n, options) log-likelihood relative to the observation's best candidate; -inf for padding
     cost : (n,) penalty, in log-likelihood, for leaving an observation out
-    foreshortening : (n, options, 2), see `Measured`; 0 where the model has the target's lean
+    foreshortening : (n, options, 2), see `Measured`; 0 where the model has the target's tilt
     """
 
     values: Floats

@@ -49,7 +49,7 @@ SIGN_OPEN_NOTE = (
 
 
 LEAN_NOTE = (
-    "the tilt is that of the sensor against the target: it holds the target's lean, which a grid of targets at two ranges "
+    "the tilt is that of the sensor against the target: it holds the target's tilt, which a grid of targets at two ranges "
     "or more separates"
 )
 
@@ -86,7 +86,7 @@ class FieldSummary:
     points : of centre, edges and corners, sagittal and tangential
     limits : of the plan
     geometry : distortion and lateral colour; None for tiles that are no grid of equal targets
-    camera_tilt : slope of focus without the target's lean; None without a geometry, or without tiles for it
+    camera_tilt : slope of focus without the target's tilt; None without a geometry, or without tiles for it
     illumination : light over the frame of each channel; empty without flats at hand
     screws : what to do at each screw of the plan's mount
     tiles : of the target

@@ -41,7 +41,7 @@ SHARE_ROUNDS = 5
 
 @dataclass(frozen=True, eq=False)
 class TargetTilts:
-    """How the target leaned against the sensor at each range.
+    """How the target was tilted against the sensor at each range.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class TargetTilts:
 
     @property
     def angles_deg(self) -> list[tuple[Uncertain, Uncertain]]:
-        """Lean of the target at each range: of its lower side, and of its right side, away from the camera."""
+        """Tilt of the target at each range: of its lower side, and of its right side, away from the camera."""
         std = np.sqrt(np.diag(self.covariance)).reshape(-1, 2)
         slope = self.pupil_to_image_mm[:, None] * self.depth_per_mm
         error = self.pupil_to_image_mm[:, None] * std / (1 + slope**2)
@@ -113,8 +113,10 @@ class SeparatedTilt:
         down, right = (
             Uncertain(value, error) for value, error in zip(self.value, std, strict=True)
         )
-        lean = "the target's lean" if not self.perspective_contradicted else "perspective"
-        return f"sensor tilt without {lean}, by the tiles: {down} µm/mm down, {right} µm/mm right"
+        without = (
+            "the target's tilt" if not self.perspective_contradicted else "perspective"
+        )
+        return f"sensor tilt without {without}, by the tiles: {down} µm/mm down, {right} µm/mm right"
 
     def as_json(self) -> dict[str, Any]:
         """Return the tilt with its covariance, the share, and what is unknown."""
@@ -222,4 +224,4 @@ def _unknown(
     inside = normal[2, 2] - normal[2, :2] @ np.linalg.solve(normal[:2, :2], normal[:2, 2])
     if inside * TELLING_SHARE_STD**2 > 1:
         return ()
-    return (f"{alone}: the target leaned alike at all ranges",)
+    return (f"{alone}: the target was tilted alike at all ranges",)

@@ -1,7 +1,7 @@
 """Fields of several sessions: a screw turned between two of them, or the lens turned on its mount.
 
-A session's tilt is the camera's, without the target's lean, where the places of the target's
-tiles show the lean: a target that leans otherwise in the second session moves nothing.
+A session's tilt is the camera's, without the target's tilt, where the places of the target's
+tiles show the tilt: a target that is tilted differently in the second session moves nothing.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def planned_screws(plan: Plan) -> Screws:
 
 
 def tilt_of(results: Results, channel: str | None = None) -> Pair:
-    """Return the slope of focus over the sensor, µm/mm, without the target's lean where the tiles' places show it.
+    """Return the slope of focus over the sensor, µm/mm, without the target's tilt where the tiles' places show it.
 
     Raises
     ------

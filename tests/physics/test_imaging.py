@@ -83,7 +83,7 @@ def test_pixels_and_target_lead_back_to_each_other(pose: Pose) -> None:
 
 
 def pinhole(tilts_deg: tuple[float, float], aside_mm: float) -> Pose:
-    """A target of 30 mm by 20, 400 mm before a camera of 12000 pixels' focal length, leaning, and beside its axis."""
+    """A target of 30 mm by 20, 400 mm before a camera of 12000 pixels' focal length, tilted, and beside its axis."""
     a, b = np.radians(tilts_deg)
     about_x = np.array([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]])
     about_y = np.array([[np.cos(b), 0, np.sin(b)], [0, 1, 0], [-np.sin(b), 0, np.cos(b)]])

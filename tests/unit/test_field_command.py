@@ -199,7 +199,7 @@ def test_an_open_sign_is_said_and_moves_no_screw() -> None:
         assert summary.screws == ()
         assert "or the opposite way" in headline(summary)
         assert any(note.endswith("a second range tells") for note in summary.notes)
-        # and the target's lean is named as unknown
+        # and the target's tilt is named as unknown
         named = [LEAN_NOTE in note or "perspective alone" in note for note in summary.notes]
         assert any(named)
         assert summary.as_json()["sign_open"] is True

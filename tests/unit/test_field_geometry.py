@@ -93,9 +93,9 @@ def test_the_golden_field_s_places_give_its_distortion_and_lateral_colour() -> N
         assert np.abs(lateral_px - expected).max() < 2e-3
 
 
-def through_a_pinhole(on_target: Floats, range_mm: float, lean: Floats) -> Floats:
-    """Return the image of places (n, 2) on a leaning target, mm, with distortion."""
-    depth = range_mm + on_target @ np.tan(lean)
+def through_a_pinhole(on_target: Floats, range_mm: float, tilt: Floats) -> Floats:
+    """Return the image of places (n, 2) on a tilted target, mm, with distortion."""
+    depth = range_mm + on_target @ np.tan(tilt)
     flat = 36.0 * on_target / depth[:, None]
     return np.asarray(flat * (1 + 9e-4 * (flat**2).sum(axis=1, keepdims=True)))
 
@@ -105,10 +105,10 @@ def linear_tiles(std_px: float, rng: np.random.Generator) -> list[TilePlace]:
     root = np.linalg.cholesky(usual_covariance())
     step_mm = 1e-3
     places = []
-    for range_mm, lean in zip(
+    for range_mm, tilt in zip(
         field.RANGES_MM, rng.uniform(-0.07, 0.07, (3, 2)), strict=True
     ):
-        image = partial(through_a_pinhole, range_mm=range_mm, lean=lean)
+        image = partial(through_a_pinhole, range_mm=range_mm, tilt=tilt)
         for tile in field.TILES:
             middle = field.GRID.places_mm(tile, np.zeros((1, 2)))
             step = step_mm * np.eye(2)

@@ -119,7 +119,7 @@ def test_an_open_sign_proves_no_way_and_splits_no_tilt() -> None:
 
 
 def test_the_compared_tilt_is_the_one_that_labkit_field_prints() -> None:
-    """The camera's, without the target's lean: re-aiming between two sessions moves no screw."""
+    """The camera's, without the target's tilt: re-aiming between two sessions moves no screw."""
     results = tiled_results()
     camera = summarise_field(results).camera_tilt
     assert camera is not None

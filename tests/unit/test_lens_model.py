@@ -21,8 +21,8 @@ from labkit.estimation.laws import (
     WAVELENGTH,
     Laws,
 )
-from labkit.estimation.lean import foreshortenings
 from labkit.estimation.lens_model import LensModel
+from labkit.estimation.tilted_target import foreshortenings
 from labkit.key import Key
 from labkit.optics.lens import ThinLens
 from labkit.types import Floats
@@ -97,11 +97,11 @@ def true_values(model: LensModel, theta: Any, own: Any, k: int) -> Any:
                 for mode, j in zip([waves, *upper], NOLL, strict=True)
             )
             cone = cone + height * at("cone over the field", k)
-        # near no lean: the range is that of the tiles' middle
+        # near no tilt: the range is that of the tiles' middle
         middle = np.mean([one.place for one in model.readings], axis=0)
         for k, place, of in zip((3, 2), here.place, middle, strict=True):
-            lean = at("target's tilt over the field", here.station, k)
-            scale = scale + lean * (1.5 * place - of)
+            tilt = at("target's tilt over the field", here.station, k)
+            scale = scale + tilt * (1.5 * place - of)
     wavelength = at("wavelength", channel) + (at("wavelength") if common_light else 0.0)
     modes = [mode * np.exp(-wavelength) for mode in (waves, *upper)]
     pitch = at("pixel pitch") if model.laws.mistaken == (PIXEL_PITCH, ()) else 0.0
@@ -161,7 +161,7 @@ def picture(turn: Floats, at_mm: Floats, away_mm: float, image_mm: float) -> Flo
 
 
 def turned_by(down_deg: float, right_deg: float) -> Floats:
-    """The rotation (3, 3), down, right and away, of a target that leans."""
+    """The rotation (3, 3), down, right and away, of a target that is tilted."""
     (down, right), (c, s) = np.radians([down_deg, right_deg]), (np.cos, np.sin)
     about_right = [[c(down), 0, -s(down)], [0, 1, 0], [s(down), 0, c(down)]]
     about_down = [[1, 0, 0], [0, c(right), -s(right)], [0, s(right), c(right)]]
@@ -193,8 +193,8 @@ def test_sizes_of_a_leaning_grid_are_those_of_a_pinhole(
     theta[model.index(FOCUS)] = focus_mm
     theta[model.index(MAGNIFICATION)] = np.log(lens.pupil_magnification)
     nearer = turn[:2, 2] / turn[2, 2] * radius_mm / image_mm
-    for k, lean in zip((3, 2), nearer, strict=True):
-        theta[model.index(FIELD_TILT, range_mm, k)] = lean
+    for k, tilt in zip((3, 2), nearer, strict=True):
+        theta[model.index(FIELD_TILT, range_mm, k)] = tilt
     predicted = model.predicted(theta, np.zeros((1, 0)))[:, -1]
     cosine = turn[2, 2]
     # measured 1e-9 and 4e-8

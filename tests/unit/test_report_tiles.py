@@ -123,7 +123,7 @@ def test_limits_screws_and_places_have_their_tables() -> None:
         "lateral_colour_um": "fail",
     }
     assert artist.camera_tilt is not None
-    # no target leans here: all of the slope is the camera's
+    # no target is tilted here: all of the slope is the camera's
     slope = 2 * a_model().um_per_wave / FRAME.radius_mm * np.array(TILT)
     pull = (artist.camera_tilt.value - slope) / np.sqrt(
         np.diag(artist.camera_tilt.covariance)

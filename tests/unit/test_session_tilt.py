@@ -28,7 +28,7 @@ def a_bowl() -> FieldModel:
 
 
 def tiles(slopes: Floats, rng: np.random.Generator) -> list[Wavefront]:
-    """Return fits of all tiles at three ranges, each with a focus and a slope of its own; the target leans differently."""
+    """Return fits of all tiles at three ranges, each with a focus and a slope of its own; the target is tilted differently."""
     model = a_bowl()
     places = field.model(("G",))
     numbers = field.numbers(places, rng)
@@ -81,19 +81,19 @@ def _geometry(fits: list[Wavefront]) -> FieldGeometry:
 
 @pytest.mark.parametrize("share", [1.0, 0.0])
 def test_a_session_tells_the_sensor_s_tilt_from_the_target_s(share: float) -> None:
-    """The target leans by 3° or so, which is 1.5 µm/mm of focus."""
+    """The target is tilted by 3° or so, which is 1.5 µm/mm of focus."""
     rng = np.random.default_rng(4)
     geometry = _geometry(tiles(SLOPES, np.random.default_rng(4)))
-    leaning = target_tilts(geometry, field.LENS).focus_um_per_mm
-    assert np.abs(leaning).max() > 1
-    fits = tiles(np.array([2.4, -1.5]) + share * leaning, rng)
+    tilts = target_tilts(geometry, field.LENS).focus_um_per_mm
+    assert np.abs(tilts).max() > 1
+    fits = tiles(np.array([2.4, -1.5]) + share * tilts, rng)
     found = session_tilt(fits, a_bowl(), _geometry(fits), field.LENS)
     assert found is not None
     errors = np.sqrt(np.diag(found.covariance))
     assert np.all(np.abs(found.value - [2.4, -1.5]) < 3 * errors)
     assert np.all(errors < 0.3)
     assert found.perspective_contradicted == (share == 0)
-    without = "perspective" if share == 0 else "the target's lean"
+    without = "perspective" if share == 0 else "the target's tilt"
     assert found.words.startswith(f"sensor tilt without {without}, by the tiles: 2.")
     stated = found.as_json()
     assert stated["share_of_perspective"]["value"] == pytest.approx(share, abs=0.3)

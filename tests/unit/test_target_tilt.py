@@ -13,7 +13,7 @@ from tests import tile_samples as field
 
 
 def traced(range_mm: float, down_rad: float, right_rad: float) -> list[TilePlace]:
-    """Return the places of tiles on a plane whose lower and right sides lean away, through a pinhole on the frame's axis."""
+    """Return the places of tiles on a plane, lower and right sides tilted away, through a pinhole on the frame's axis."""
     image_mm = field.LENS.pupil_to_image_mm(range_mm)
     places = []
     for row, column in field.TILES:
@@ -95,7 +95,7 @@ def test_what_one_range_or_one_tilt_leaves_unknown_is_said() -> None:
         tilts.ranges_mm, np.full((3, 2), 1e-3), tilts.covariance, np.ones(3), tilts.um
     )
     slopes = 1 + alike.focus_um_per_mm
-    assert "leaned alike" in sensor_tilt(slopes, 0.05**2 * np.eye(6), alike).unknown[0]
+    assert "tilted alike" in sensor_tilt(slopes, 0.05**2 * np.eye(6), alike).unknown[0]
     unknown = TargetTilts(
         (None,), np.zeros((1, 2)), np.eye(2), np.ones(1), np.array([np.nan])
     )

@@ -114,7 +114,7 @@ class FieldArtist:
 
     @cached_property
     def camera_tilt(self) -> SeparatedTilt | None:
-        """The slope of focus that is the camera's, without the target's lean; None where the places do not show it."""
+        """The slope of focus that is the camera's, without the target's tilt; None where the places do not show it."""
         if self.geometry is None:
             return None
         lens = self.results.thin_lens

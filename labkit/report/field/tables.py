@@ -134,7 +134,7 @@ def places_table(geometry: FieldGeometry, corners: Mapping[str, Numbers]) -> Tab
 
 
 def tilt_table(tilt: SeparatedTilt) -> Table:
-    """Return the slope of focus that is the camera's, without the target's lean."""
+    """Return the slope of focus that is the camera's, without the target's tilt."""
     pair = Pair(tilt.value, tilt.covariance, "um/mm")
     columns = (Column("", text=True), Column("", text=True), Column(""))
     rows = [

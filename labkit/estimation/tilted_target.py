@@ -1,14 +1,14 @@
-"""The target's lean, by the sizes of its tiles.
+"""The target's tilt, by the sizes of its tiles.
 
-Along a plane that leans, the depth at the place h in the picture is Z0 / (1 + g·h). Lines of constant depth have the scale
+Along a tilted plane, the depth at the place h in the picture is Z0 / (1 + g·h). Lines of constant depth have the scale
 f′ / Z there, with a pinhole f′ in front of the picture, and a small tile has
 
     (f′ / Z0)² c (1 + g·h)³
 
 of its area on the target: the slope of the sizes over the field tells g. c is how much the picture is shortened across those
-lines in the middle of the frame: the cosine of the lean for a sensor at right angles to the axis, and 1 where sensor and target
-lean as much, in contrary ways. So c is measured, by the shapes of the tiles. It is the same for a picture in perspective and
-for one whose tiles are each drawn by the linear map at their middles.
+lines in the middle of the frame. It is the cosine of the tilt for a sensor at right angles to the axis, and 1 where sensor and
+target are tilted as much, in contrary ways, so it is measured, by the shapes of the tiles. It is the same for a picture in
+perspective and for one whose tiles are each drawn by the linear map at their middles.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from labkit.optics.wavefront import DEFOCUS
 from labkit.types import Bools, Floats, Indices
 
 NEAREST_DEPTH = 0.1
-"""Least depth over that in the middle of the frame: a climb may try leans far beyond those of targets."""
+"""Least depth over that in the middle of the frame: a climb may try tilts far beyond those of targets."""
 
 
 @dataclass(frozen=True, eq=False)
-class LeaningTarget:
+class TiltedTarget:
     """Where the middle of the target is in the picture of each exposure, whose range is stated.
 
     Attributes
     ----------
     order : radial order of the field's expansion
-    middle : (exposures, 2) place of the target's middle without a lean, down and right, over half the frame's diagonal
-    spread : (exposures, 2, 2) by which a lean moves that place
+    middle : (exposures, 2) place of the target's middle without a tilt, down and right, over half the frame's diagonal
+    spread : (exposures, 2, 2) by which a tilt moves that place
     """
 
     order: int
@@ -46,7 +46,7 @@ class LeaningTarget:
     @classmethod
     def of(
         cls, order: int, readings: Sequence[Reading], exposures: Indices
-    ) -> LeaningTarget:
+    ) -> TiltedTarget:
         """Find the middle of the target by the places of its tiles: h / (1 + g·h) is linear in the place on the target."""
         count = int(exposures.max()) + 1
         middle, spread = np.zeros((count, 2)), np.zeros((count, 2, 2))
@@ -62,19 +62,19 @@ class LeaningTarget:
             spread[k] = (weights[:, None] * places[here]).T @ places[here]
         return cls(order, middle, spread)
 
-    def log_scale(self, lean: Floats) -> Floats:
-        """Return the coefficients (terms, ..., exposures) that a lean adds to ln of the scale, without c.
+    def log_scale(self, tilt: Floats) -> Floats:
+        """Return the coefficients (terms, ..., exposures) that a tilt adds to ln of the scale, without c.
 
         Parameters
         ----------
-        lean : (2, ..., exposures) g, down and right, over half the frame's diagonal
+        tilt : (2, ..., exposures) g, down and right, over half the frame's diagonal
         """
         places, expanded = _expansion(self.order)
-        nearer = np.maximum(np.tensordot(places, lean, 1), NEAREST_DEPTH - 1)
+        nearer = np.maximum(np.tensordot(places, tilt, 1), NEAREST_DEPTH - 1)
         scale = np.tensordot(expanded, 1.5 * np.log1p(nearer), 1)
         # Z0 is the depth in the middle of the frame
-        beyond = np.einsum("i...n,ni->...n", lean, self.middle)
-        beyond -= np.einsum("i...n,j...n,nij->...n", lean, lean, self.spread)
+        beyond = np.einsum("i...n,ni->...n", tilt, self.middle)
+        beyond -= np.einsum("i...n,j...n,nij->...n", tilt, tilt, self.spread)
         scale[0] -= beyond
         return np.asarray(scale)
 
@@ -86,7 +86,7 @@ def foreshortenings(
     *,
     tiled: bool,
 ) -> Floats:
-    """Return by how much a lean makes ln of each size less, -ln(c) / 2, and its standard error, (n, 2).
+    """Return by how much a tilt makes ln of each size less, -ln(c) / 2, and its standard error, (n, 2).
 
     Of a target that is whole, the fit's own convergence tells it; of tiles, the shapes of all members of a station.
     """
@@ -100,7 +100,7 @@ def _by_shapes(
 ) -> Floats:
     """Return the foreshortening at the station of each observation, and its standard error, (n, 2).
 
-    Over the frame the stretch changes linearly with a lean, and by distortion with the square of the image height, the same at
+    Over the frame the stretch changes linearly with a tilt, and by distortion with the square of the image height, the same at
     all stations.
     """
     stretches = np.array([(0.0, 0.0) if one is None else one.stretch for one in chosen])
