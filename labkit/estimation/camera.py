@@ -213,15 +213,15 @@ class Fitted:
         return unphysical([end.measured for end in self.ends.values()]) & self.parts
 
     def net_gain(self, before: Fitted) -> float:
-        """Return the gain less the cost of the added parts; no gain justifies unphysical parts."""
-        if self.unphysical - before.parts:
-            return -np.inf
+        """Return the gain less the cost of the added parts; unphysical parts leave at any loss."""
         if before.unphysical - self.parts:
             return np.inf
         return self.gain(before) - cost(self.parts) + cost(before.parts)
 
     def better(self, before: Fitted) -> bool:
-        """Return whether parts gain more than they cost, and added parts explain a further fit or their share."""
+        """Return whether parts gain more than they cost, and added ones are physical and explain a further fit or their share."""
+        if self.unphysical - before.parts:
+            return False
         gain = self.net_gain(before)
         if gain <= 0 or not self.parts - before.parts:
             return gain > 0
@@ -240,7 +240,7 @@ class CameraChoice:
     wanted : parts that the plan requests to fit, which always stay
     channels : channel of each observation
     tried : parts tested for, with their gains
-    missing : the significant part that was refused because it explains too little of the residuals
+    missing : the significant part that was refused because it explains too little of the residuals, or is unphysical
     with_missing : fits with the missing part
     compared : models without a diaphragm at whose optima all numbers of blades were compared
     """

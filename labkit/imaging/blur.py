@@ -134,6 +134,7 @@ class Blur:
     def _psf(self, pupil: Pupil, waves: Floats) -> Floats:
         """Return the PSF of any pupil over all wavelengths."""
         psf = np.zeros((pupil.size, pupil.size))
+        waves = pupil.checked(waves)
         for share, node in self.spectrum.shares:
             psf += share * pupil.stretched(waves / node, node)
         return psf

@@ -269,20 +269,23 @@ class Pupil:
         columns = scipy.fft.fft(pupil * self._tilt.astype(pupil.dtype), self.size, axis=0)
         return np.asarray(scipy.fft.fft(columns, self.size, axis=1))
 
+    def checked(self, waves: Floats) -> Floats:
+        """Return a wavefront's modes as numbers, or raise ValueError."""
+        return real_array(
+            "waves", waves, (len(self.noll),), "waves RMS, one for each mode"
+        )
+
     def _pupil_function(self, waves: Floats) -> Complexes:
         return np.asarray(self.amplitude * self._turn(waves))
 
     def _turn(self, waves: Floats) -> Complexes:
         """Return (n, n) the wavefront's phase factor."""
-        waves = real_array(
-            "waves", waves, (len(self.noll),), "waves RMS, one for each mode"
-        )
         phase = (
             2
             * np.pi
             * self.reference_um
             / self.wavelength_um
-            * np.tensordot(waves, self.modes, 1)
+            * np.tensordot(self.checked(waves), self.modes, 1)
         )
         return np.asarray(np.exp(1j * phase))
 

@@ -396,8 +396,10 @@ def test_a_number_of_blades_that_nothing_contradicts_is_asked_once() -> None:
 
 def test_a_part_with_unphysical_numbers_is_not_taken_in_whatever_it_gains() -> None:
     fits = Fits({("veil",): 30.0}, {"veil": 40.0}, {"veil": -0.5})
-    chosen, _ = fits.chosen()
+    chosen, choice = fits.chosen()
     assert chosen == set()
+    # it is a sign of something that the model lacks, and errors have to hold what it moves
+    assert choice.missing == ("veil",)
 
 
 def test_a_part_whose_numbers_became_unphysical_leaves_the_model() -> None:
