@@ -219,7 +219,10 @@ class Fitted:
         return self.gain(before) - cost(self.parts) + cost(before.parts)
 
     def better(self, before: Fitted) -> bool:
-        """Return whether parts gain more than they cost, and added ones are physical and explain a further fit or their share."""
+        """Return whether parts gain more than they cost.
+
+        Added parts must be physical, and explain a further fit or their share.
+        """
         if self.unphysical - before.parts:
             return False
         gain = self.net_gain(before)

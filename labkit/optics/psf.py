@@ -271,9 +271,7 @@ class Pupil:
 
     def checked(self, waves: Floats) -> Floats:
         """Return a wavefront's modes as numbers, or raise ValueError."""
-        return real_array(
-            "waves", waves, (len(self.noll),), "waves RMS, one for each mode"
-        )
+        return real_array("waves", waves, (len(self.noll),), "waves RMS, one for each mode")
 
     def _pupil_function(self, waves: Floats) -> Complexes:
         return np.asarray(self.amplitude * self._turn(waves))
