@@ -8,9 +8,11 @@ import numpy as np
 
 from labkit.estimation.local import Found
 from labkit.estimation.observation import Observation
+from labkit.estimation.settings import SETTINGS
 from labkit.imaging.warp import Pose
 from labkit.key import Tile
 from labkit.plan import leading_channel
+from labkit.types import Floats
 
 
 def anchors(observations: Sequence[Observation], places: Sequence[int]) -> list[int]:
@@ -99,3 +101,31 @@ def known_poses(
             poses = found[k].best.state.poses
             return tuple(pose.shifted(top, left) for pose in poses)
     return ()
+
+
+def spread(observations: Sequence[Observation], places: Collection[int]) -> list[int]:
+    """Return the observations that decide about camera parts and modes: all, but of tiles the most distant of each photograph.
+
+    The parts are those of the whole frame: a sample of its tiles shows a part, and refits with each part that is
+    tried take as long for a thousand tiles as for ten.
+    """
+    exposures = dict[tuple[float | None, str], list[int]]()
+    for k in places:
+        exposures.setdefault(
+            (observations[k].range_mm, observations[k].channel), []
+        ).append(k)
+    chosen = [
+        of[i]
+        for of in exposures.values()
+        for i in _farthest(np.array([observations[k].place for k in of]))
+    ]
+    return sorted(chosen)
+
+
+def _farthest(places: Floats) -> list[int]:
+    """Return indices of places (n, 2): the one nearest to the middle, then each time the one farthest from all before."""
+    chosen = [int(np.argmin(np.hypot(*places.T)))]
+    while len(chosen) < min(len(places), SETTINGS.deciding_tiles):
+        away = np.linalg.norm(places[:, None] - places[chosen], axis=-1).min(axis=1)
+        chosen.append(int(np.argmax(away)))
+    return chosen

@@ -16,6 +16,7 @@ from labkit.estimation.first_fits import (
     clearest,
     known_poses,
     nearest_fitted,
+    spread,
 )
 from labkit.estimation.laws import Laws
 from labkit.estimation.lens_fit import fit_lens
@@ -140,25 +141,26 @@ class _Loop:
                 self._search_together()
                 if len(self.found) == len(self.anchors) < len(self.observations):
                     self._choose_parts(self._telling_anchors())
-            choosing = self._choose_parts(list(self.found))
+            choosing = self._choose_parts(spread(self.observations, self.found))
 
     def _next(self) -> dict[int, Guesses]:
         """Return the next fits by observation; none once no fit can gain."""
-        places = [
+        left = [
             k
-            for k in range(len(self.observations))
-            if self.observations[k].key.label not in self.search.lost
+            for k, one in enumerate(self.observations)
+            if k not in self.found and one.key.label not in self.search.lost
         ]
-        left = [k for k in places if k not in self.found]
         if not self.found:
             self.anchors = anchors(self.observations, left) if left else []
             return dict.fromkeys(self.anchors, self._from_nothing(deep=False))
         if doubtful := self._undecided():
             return dict.fromkeys(doubtful, self._from_nothing(deep=True))
         selection = self.selection()
-        if left:
-            return self._predicted(left, selection)
-        return self._badly_predicted(selection) if selection is not None else {}
+        # a tile at a wrong optimum would lead its neighbours astray
+        mends = not left or self.observations[0].tile is not None
+        if selection is not None and mends and (refits := self._badly_predicted(selection)):
+            return refits
+        return self._predicted(left, selection)
 
     def _undecided(self) -> list[int]:
         """Return the anchors if none is explained and they do not confirm each other.
@@ -197,7 +199,7 @@ class _Loop:
     def _predicted(
         self, left: Sequence[int], selection: Selection | None
     ) -> dict[int, Guesses]:
-        """Return first fits: from the prediction if defocus is predicted well; else the clearest of each channel.
+        """Return first fits: from the prediction if it is sure; else the clearest of each channel.
 
         Far from focus the right optimum is clear. Near focus wrong optima are close, and a fit starts from the prediction. Of
         tiles, the clearest next to fitted ones begin from their wavefront, as many at once as the field's expansion has terms.
@@ -206,32 +208,30 @@ class _Loop:
             waves = self._clearest().waves
             return {k: self._guess(modes=(waves,)) for k in left}
         predicted, covariance = selection.lens.predictions
-        at = selection.lens.model.defocus
-        sure, unsure = dict[int, Guesses](), dict[int, float]()
+        modes, at = len(self._noll), selection.lens.model.defocus
+        guesses = dict[int, Guesses]()
+        stds, defocus = dict[int, float](), dict[int, float]()
         for k in left:
             if (row := self.rows.get(k)) is None:
-                sure[k] = self._guess(modes=(self._clearest().waves,))
+                guesses[k] = self._guess(modes=(self._clearest().waves,))
                 continue
-            waves = predicted[row, : len(self._noll)]
-            if covariance[row, at, at] < SETTINGS.sure_waves**2:
-                sure[k] = self._guess(
-                    starts=(waves,), poses=known_poses(self.observations, self.found, k)
-                )
+            waves = predicted[row, :modes]
+            unsure = at if self.observations[k].tile is None else np.arange(modes)
+            stds[k] = float(np.sqrt(np.diag(covariance[row])[unsure].sum()))
+            if stds[k] < SETTINGS.sure_waves:
+                poses = known_poses(self.observations, self.found, k)
+                guesses[k] = self._guess(starts=(waves,), poses=poses)
             else:
-                unsure[k] = float(waves[at])
-        stds = {
-            k: float(covariance[self.rows[k], at, at]) ** 0.5
-            for k in clearest(self.observations, unsure)
-        }
+                defocus[k] = float(waves[at])
+        stds = {k: stds[k] for k in clearest(self.observations, defocus)}
         terms = len(field_terms(selection.lens.model.field_order))
         for k in best_predicted(self.observations, self.found, stds, terms):
             beside = nearest_fitted(self.observations, self.found, k)
-            if beside is None:
-                sure[k] = self._guess(modes=(predicted[self.rows[k], : len(self._noll)],))
-            else:
-                waves = self.chosen(beside).waves
-                sure[k] = self._guess(starts=(waves,), modes=(waves,))
-        return sure
+            known = () if beside is None else (self.chosen(beside).waves,)
+            guesses[k] = self._guess(
+                starts=known, modes=known or (predicted[self.rows[k], :modes],)
+            )
+        return guesses
 
     def _badly_predicted(self, selection: Selection) -> dict[int, Guesses]:
         """Return refits from the prediction of all others: of outliers, and of members with unexplained residuals.

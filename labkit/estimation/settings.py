@@ -152,11 +152,13 @@ class Settings:
     # camera: which of its parts are fitted
     part_chance: float = 5e-5
     """Probability of the gain that a part, or a group of modes, must have, if it is absent: once in 20 000 sessions."""
+    deciding_tiles: int = 9
+    """Number of tiles of each photograph that decide about parts and modes: middle, corners and sides of a frame."""
 
     # session: what is fitted next
     sure_waves: float = 0.05
-    """Standard error of a predicted defocus below which a climb starts from the prediction, and RMS departure of the other
-    modes below which an optimum agrees with its prediction: wrong optima are farther away."""
+    """Standard error of a predicted defocus, of a tile's whole wavefront, below which a climb starts from the prediction, and
+    RMS departure of the other modes below which an optimum agrees with its prediction: wrong optima are farther away."""
     other_optimum_waves: float = 0.01
     """RMS over the modes: a smaller difference is no other optimum."""
     shared_f_number_std: float = 0.01

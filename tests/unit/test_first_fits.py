@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labkit.estimation.first_fits import best_predicted, clearest, nearest_fitted
+from labkit.estimation.first_fits import best_predicted, clearest, nearest_fitted, spread
 from labkit.estimation.observation import Observation
 from labkit.imaging.warp import Pose
-from tests.optimum_samples import NOISE
+from tests.optimum_samples import NOISE, observations
 
 TILE_PX = 100
 
@@ -57,3 +57,18 @@ def test_tiles_next_to_fitted_ones_come_first_and_one_of_a_new_colour() -> None:
 def test_the_clearest_photographs_of_a_tile_are_farthest_from_focus() -> None:
     observations = [tile(3), tile(3, range_mm=1260.0), tile(4)]
     assert clearest(observations, {0: -0.1, 1: 0.3, 2: 0.0}) == [1, 2]
+
+
+def test_tiles_spread_over_each_photograph_decide_about_parts(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    long = [tile(column, range_mm=r) for r in (1180.0, 1260.0) for column in range(33)]
+    # middle and ends, then each time the middle of the longest gap
+    nine = [0, 4, 8, 12, 16, 20, 24, 28, 32]
+    monkeypatch.setattr(Observation, "place", property(lambda one: (0.0, one.tile[1] - 16)))
+    assert spread(long, range(66)) == [*nine, *(33 + column for column in nine)]
+
+
+def test_all_photographs_of_one_target_decide_about_parts() -> None:
+    seen = observations("GRB")
+    assert spread(seen, range(len(seen))) == [*range(len(seen))]

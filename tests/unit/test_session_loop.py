@@ -11,6 +11,7 @@ import pytest
 
 from labkit.errors import FitError
 from labkit.estimation.local import Found
+from labkit.estimation.observation import Observation
 from labkit.estimation.scores import ScoreTest
 from labkit.estimation.searches import Task
 from labkit.estimation.session import estimate
@@ -143,6 +144,24 @@ def test_a_wrong_optimum_is_fitted_again_from_the_prediction_and_then_belongs(
     np.testing.assert_allclose(session.fits[refitted].optimum.waves, truth)
     assert session.outliers == ()
     assert len(session.members) == len(session.fits)
+
+
+def test_a_tile_at_a_wrong_optimum_is_fitted_again_before_its_neighbours_begin(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(
+        Observation, "place", property(lambda one: (0.0, 0.1 * one.tile[1]))
+    )
+    tiles = [
+        replace(one, tile=(0, column), photograph_px=(100, 300))
+        for one in observations("G", RANGES_MM[::3])
+        for column in range(3)
+    ]
+    play = wrong_at_first("G at 3200 mm, tile (0, 0)")
+    estimate(tiles, PLAN, {"G": TARGET}, play, lambda done, of, what: None)
+    first, again, *_ = play.labels
+    assert first == ["G at 2900 mm, tile (0, 0)", "G at 3200 mm, tile (0, 0)"]
+    assert set(again) <= set(first)
 
 
 SMEARED = {"smear": ScoreTest(np.full(3, 15.0), np.eye(3))}
