@@ -2,6 +2,7 @@
 
 A session of a lens that changes little over its frame is made in FOLDER, at two ranges, where it is missing, and is fitted in
 this process. Processor time is counted, because other programs do not change it much: of each search, and of the whole.
+With `--pair` the session is fitted once more by one worker and by two, and the clock decides: on an idle machine only.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import resource
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from time import process_time
+from time import perf_counter, process_time
 
 import numpy as np
 
@@ -58,17 +59,8 @@ def session_of(grid: tuple[int, int]) -> FieldSession:
     return field_session(grid, RANGES_MM, lens, seed=5, tile_px=TILE_PX, order=3)
 
 
-def main() -> None:
-    """Make the session, fit green, and print times and memory."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--grid", type=int, nargs=2, default=(3, 4))
-    asked = parser.parse_args()
-    photographs, kept = asked.folder / "photographs", asked.folder / "session"
-    if not photographs.exists():
-        make(session_of(tuple(asked.grid)), photographs)
-    if not kept.exists():
-        import_frames(photographs / "frames.csv", photographs / "plan.toml", kept)
+def fit_timed(kept: Path) -> None:
+    """Fit green in this process, and print processor times and memory."""
     timed, began = Timed(), process_time()
     results = labkit.fit(kept, channels="G", run=timed)
     whole, count = process_time() - began, len(results.wavefronts)
@@ -77,6 +69,36 @@ def main() -> None:
     print(f"{accepted} of {count} fits accepted, {len(timed.seconds)} searches")
     print(f"a search: {np.median(timed.seconds):.2f} s in the median")
     print(f"all: {whole:.1f} s, {whole / count:.2f} s a fit, {most:.2f} GB")
+
+
+def fit_by_pairs(kept: Path) -> None:
+    """Fit green by one worker and by two, and print what the clock says."""
+    seconds = list[float]()
+    for workers in (1, 2):
+        began = perf_counter()
+        labkit.fit(kept, channels="G", workers=workers)
+        seconds.append(perf_counter() - began)
+    one, two = seconds
+    most = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e6
+    print(f"one worker {one:.1f} s, two {two:.1f} s: {one / two:.2f} times as fast")
+    print(f"a worker of two: {most:.2f} GB")
+
+
+def main() -> None:
+    """Make the session, fit it, and print times and memory."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--grid", type=int, nargs=2, default=(3, 4))
+    parser.add_argument("--pair", action="store_true")
+    asked = parser.parse_args()
+    photographs, kept = asked.folder / "photographs", asked.folder / "session"
+    if not photographs.exists():
+        make(session_of(tuple(asked.grid)), photographs)
+    if not kept.exists():
+        import_frames(photographs / "frames.csv", photographs / "plan.toml", kept)
+    fit_timed(kept)
+    if asked.pair:
+        fit_by_pairs(kept)
 
 
 if __name__ == "__main__":

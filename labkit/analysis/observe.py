@@ -6,6 +6,7 @@ from math import inf
 
 import numpy as np
 
+from labkit.analysis.neighbours import only_own, with_neighbours
 from labkit.analysis.target_places import Places, of_one_place, places_in_frame
 from labkit.calibration.calibrate import (
     Calibration,
@@ -29,7 +30,6 @@ from labkit.finder.carpet_squares import central_square
 from labkit.finder.cut import (
     cut_around,
     cut_within,
-    sees_no_neighbour,
     sees_target_only,
     surround_level,
 )
@@ -388,18 +388,16 @@ def _observation(
     first = shots[0].mosaic
     group = [shot.frame for shot in shots]
     rows, columns = cut = region.cut
-    outline = [Pose.from_corners(one, target.size_mm) for one in region.corners_px]
-    poses = tuple(pose.shifted(rows.start, columns.start) for pose in outline)
+    poses = tuple(
+        Pose.from_corners(one, target.size_mm).shifted(rows.start, columns.start)
+        for one in region.corners_px
+    )
     data = [
         channel_data(calibration, shot.frame, shot.mosaic, channel, cut) for shot in shots
     ]
     if clear_mm is not None:
         data = [
-            replace(
-                part,
-                mask=part.mask
-                & sees_no_neighbour(pose, clear_mm, target.size_mm, part.mask.shape),
-            )
+            only_own(part, pose, clear_mm, target.size_mm)
             for part, pose in zip(data, poses, strict=True)
         ]
     pixels = first.pixels(channel)
@@ -417,6 +415,9 @@ def _observation(
         )
         for part, pose, frame in zip(data, poses, group, strict=True)
     )
+    if clear_mm is not None:
+        found_px = [shot.corners_px for shot in shots]
+        frames = with_neighbours(frames, target, found_px, region.tile, cut)
     observation = Observation(
         range_mm=group[0].range_mm,
         measured_range_mm=_measured(group),

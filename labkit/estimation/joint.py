@@ -200,6 +200,7 @@ def problem_at(leg: Leg, optics: Optics, state: State) -> Problem:
         state.poses[0],
         window_airy=max(WINDOW_AIRY, optics.window_airy(state.waves)),
         brightness=views.frames[0].brightness,
+        beside=views.frames[0].beside,
     )
     return Problem(model, views.frames, views.noise)
 

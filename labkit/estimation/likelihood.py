@@ -139,6 +139,7 @@ class FrameData:
     departures : (k, rows, columns) low orders P, see `low_orders`; empty if flats determine V
     rounding : (rows, columns) variance of rounding, counts^2; empty if the read noise includes rounding
     brightness : part of V that belongs to the target and is blurred with the target; None if unknown
+    beside : (rows, columns) light of neighbouring targets for a lambda N of one pixel, 1 for white; None without
 
     Raises
     ------
@@ -152,6 +153,7 @@ class FrameData:
     departures: Floats = field(default_factory=lambda: np.empty((0, 0, 0)))
     rounding: Floats = field(default_factory=lambda: np.empty((0, 0)))
     brightness: Brightness | None = None
+    beside: Floats | None = None
 
     def __post_init__(self) -> None:
         if np.ndim(self.counts) != 2:
@@ -178,6 +180,8 @@ class FrameData:
             )
         if len(self.departures):
             real_array("departures", self.departures, (None, *self.used.shape), "relative")
+        if self.beside is not None:
+            real_array("beside", self.beside, self.used.shape, "relative")
         if len(self.rounding):
             real_array("rounding", self.rounding, self.used.shape, "counts^2")
 

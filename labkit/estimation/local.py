@@ -295,6 +295,7 @@ class _Search:
             pose,
             f_number_margin=f_number_margin,
             brightness=frame.brightness,
+            beside=frame.beside,
         )
         sketched = Sketches(
             optics.in_one_wavelength(), target, frame, pose, views.noise, seed

@@ -62,7 +62,8 @@ class ForwardModel:
 
     optics: as built. rough: the same blur up to ROUGH_BAND, for the slopes of a climb:
     docs/decisions.md. wrapped: (rows, columns) of the frame, light that comes around the
-    torus, which is subtracted. window_airy: width of the PSF's window, lambda N.
+    torus, which is subtracted. window_airy: width of the PSF's window, lambda N. beside:
+    (rows, columns) light of neighbouring targets, for a lambda N of one pixel; None without.
     """
 
     optics: Optics
@@ -71,6 +72,7 @@ class ForwardModel:
     rough: Blur
     wrapped: Floats
     window_airy: float = WINDOW_AIRY
+    beside: Floats | None = None
 
     @property
     def _pixels(self) -> tuple[Floats, Floats]:
@@ -100,6 +102,7 @@ class ForwardModel:
         window_airy: float = WINDOW_AIRY,
         f_number_margin: float = 0.0,
         brightness: Brightness | None = None,
+        beside: Floats | None = None,
     ) -> "ForwardModel":
         """Build a model of frames of a given size.
 
@@ -114,6 +117,7 @@ class ForwardModel:
             errs by the halo's dependence on the wavefront
         f_number_margin : relative, by which `with_optics` may lower the f-number
         brightness : brightness of the target from place to place
+        beside : (rows, columns) light of neighbouring targets, for a lambda N of one pixel
         """
         window_um = window_airy * optics.airy_um
         cutoff = optics.rim.reach / (
@@ -127,6 +131,8 @@ class ForwardModel:
         target = _lit(target, optics)
         halo_um = optics.airy_um * optics.rim.halo
         wrapped = wrapped_light(torus, target, reference, halo_um, optics.active_um)
+        if beside is not None:
+            wrapped = wrapped - beside * (halo_um / optics.pitch_um)
         limit = min(band * cutoff, ROUGH_BAND / optics.pitch_um)
         fewer = replace(
             torus,
@@ -142,6 +148,7 @@ class ForwardModel:
             rough,
             wrapped,
             window_airy,
+            beside,
         )
 
     def with_optics(self, optics: Optics) -> "ForwardModel":
@@ -191,6 +198,7 @@ class ForwardModel:
             window_airy=window_airy,
             f_number_margin=f_number_margin,
             brightness=scene.brightness,
+            beside=self.beside,
         )
 
     def draw(self, poses: Sequence[Pose]) -> Drawing:
