@@ -15,6 +15,7 @@ from pathlib import Path
 from time import perf_counter, process_time
 
 import numpy as np
+from scipy.stats import kstest
 
 import labkit
 from benchmarks.field_sessions import LENS, FieldSession, field_session, make
@@ -69,6 +70,10 @@ def fit_timed(kept: Path) -> None:
     print(f"{accepted} of {count} fits accepted, {len(timed.seconds)} searches")
     print(f"a search: {np.median(timed.seconds):.2f} s in the median")
     print(f"all: {whole:.1f} s, {whole / count:.2f} s a fit, {most:.2f} GB")
+    held_out = [one.pulls for one in results.wavefronts if one.pulls is not None]
+    pulls = np.concatenate(held_out)
+    chance = kstest(pulls, "norm").pvalue
+    print(f"{pulls.size} pulls of tiles held out: std {pulls.std():.3f}, p = {chance:.2f}")
 
 
 def fit_by_pairs(kept: Path) -> None:
