@@ -26,7 +26,7 @@ from labkit.estimation.searches import Searches
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import optics_of
 from labkit.imaging.optics import Optics
-from labkit.imaging.parts import KNOWN, Blades
+from labkit.imaging.parts import KNOWN, Blades, Part
 from labkit.mode_groups import MODE_GROUPS
 from labkit.optics.other_circle import over_other_circle
 from labkit.plan import Plan
@@ -316,10 +316,15 @@ class CameraChoice:
             if losses[name] < worth or name in present.unphysical:
                 yield parts - {name}
         for name in TESTED_IN_PLACE.keys() & parts:
-            yield (parts - {name}) | {TESTED_IN_PLACE[name]}
+            in_place = (parts - {name}) | {TESTED_IN_PLACE[name]}
+            yield in_place
+            yield from self._with_blades(present, in_place)
         # their likelihood is no parabola near zero: a fit without them decides in place of a Wald test
         yield from (parts - {name} for name in parts & set(TESTED_IN_PLACE.values()))
-        yield from self._other_blades(present)
+        for name in parts - self.wanted:
+            # a cat's eye that the model lacks adds to the scores of wrong numbers
+            if kind(name) == Blades.kind and parts - {name} not in self.compared:
+                yield from self._with_blades(present, parts)
         least = _least_gain(fits)
         net = {
             name: test.gain - cost(extended(parts, name)) + cost(parts)
@@ -346,21 +351,16 @@ class CameraChoice:
             [(self.channels[k], one) for k, one in present.ends.items()]
         )
 
-    def _other_blades(self, present: Fitted) -> Iterator[Parts]:
-        """Propose another number of blades if the rest of the model has changed since all numbers were compared.
-
-        A cat's eye that the model lacks adds to the scores of wrong numbers.
-        """
-        for name in present.parts - self.wanted:
-            without = present.parts - {name}
-            if kind(name) != Blades.kind or without in self.compared:
-                continue
-            telling = _telling(present.ends, Parts({name}))
-            tests = self._tests(Fitted(without, self.refit(telling, without)))
-            numbers = [other for other in tests if kind(other) == Blades.kind]
-            best = max(numbers, key=lambda other: tests[other].gain, default=name)
-            if best != name:
-                yield without | {best}
+    def _with_blades(self, present: Fitted, choice: Parts) -> Iterator[Parts]:
+        """Propose a choice with another number of blades, by scores of fits with its other parts."""
+        had = {name for name in choice - self.wanted if kind(name) == Blades.kind}
+        rest = choice - had
+        telling = _telling(present.ends, rest ^ present.parts)
+        tests = self._tests(Fitted(rest, self.refit(telling, rest)))
+        gains = {name: tests[name].gain for name in tests if kind(name) == Blades.kind}
+        best = max(gains, key=lambda name: gains[name], default=None)
+        if best is not None and best not in had and gains[best] > cost(Parts({best})):
+            yield rest | {best}
 
     def _reached(self, present: Fitted, trial: Fitted) -> Fitted | None:
         """Return all fits with the parts of a trial, or None if the penalised likelihood does not rise."""
@@ -399,11 +399,13 @@ class Refits:
     search : runs searches
     plan : the session's plan
     made : by choice of parts and modes, the refitted optima by observation
+    begun : likewise, the optima from which these were refitted
     """
 
     search: Searches
     plan: Plan
     made: dict[Parts, dict[int, Optimum]] = field(default_factory=dict)
+    begun: dict[Parts, dict[int, Optimum]] = field(default_factory=dict)
 
     def __call__(
         self,
@@ -422,23 +424,58 @@ class Refits:
         choice : parts and modes to fit
         score : whether to test for parts and modes that the choice lacks
         """
-        wanted = {}
-        for k, end in ends.items():
-            begin = self._most_similar(k, end, parts, choice)
-            optics = optics_of(self.plan, self.search.observations[k].channel)
-            optics = optics.with_parts(choice).begun(begin.optics.parts)
-            optics = optics.with_named(
-                begin.optics.camera_labels, begin.optics.camera_parameters
-            )
-            optics, state = _with_the_light(begin, optics)
+        kept = self.made.setdefault(choice, {})
+        begin = {k: self._most_similar(k, ends[k], parts, choice) for k in ends}
+        done = self.begun.setdefault(choice, {})
+        left = {
+            k: one
+            for k, one in begin.items()
+            if k not in kept or (one is not kept[k] and one is not done.get(k))
+        }
+        done.update(left)
+        tries = {
+            k: self._starts(k, one, one.optics.parts, choice) for k, one in left.items()
+        }
+        if several := [k for k in tries if len(tries[k]) > 1]:
+            # far from focus a picture shows the pupil
+            first = max(several, key=lambda k: abs(float(left[k].waves[0])))
+            fits = [self._searched({first: one}, score) for one in tries.pop(first)]
+            kept[first] = max((fit[first] for fit in fits if fit), key=_plausibility)
+            there = kept[first].optics.parts
+            tries = {k: self._starts(k, left[k], there, choice) for k in tries}
+        kept.update(self._searched({k: one for k, (one,) in tries.items()}, score))
+        return {k: kept[k] for k in ends if k in kept}
+
+    def _starts(
+        self, k: int, begin: Optimum, before: Sequence[Part], choice: Parts
+    ) -> list[tuple[Optics, State]]:
+        """Return the starts of a refit with a choice of parts.
+
+        Parameters
+        ----------
+        k : the observation
+        begin : an optimum with a similar choice
+        before : parts from which new ones begin
+        choice : parts and modes
+        """
+        optics = optics_of(self.plan, self.search.observations[k].channel)
+        optics = optics.with_parts(choice).with_named(
+            begin.optics.camera_labels, begin.optics.camera_parameters
+        )
+        return [_with_the_light(begin, one) for one in optics.starts(before)]
+
+    def _searched(
+        self, starts: Mapping[int, tuple[Optics, State]], score: bool
+    ) -> dict[int, Optimum]:
+        """Climb from starts of some observations."""
+        if not starts:
+            return {}
+        wanted = dict[int, tuple[Optics, Guesses]]()
+        for k, (optics, state) in starts.items():
             guess = Guesses(SETTINGS.shared_f_number_std, state=state, deep=False)
             wanted[k] = optics, with_tests(guess, optics, self.plan) if score else guess
-        if not wanted:
-            return {}
         found = self.search(wanted, "fitting with other parts or modes")
-        refitted = {k: each.best for k, each in found.items()}
-        self.made.setdefault(choice, {}).update(refitted)
-        return refitted
+        return {k: each.best for k, each in found.items()}
 
     def _most_similar(self, k: int, end: Optimum, parts: Parts, choice: Parts) -> Optimum:
         """Return the likeliest optimum of an observation among fits that differ from a choice by few parts and modes.
@@ -455,6 +492,16 @@ class Refits:
             if distance <= max(1, min(away))
         ]
         return max(alike, key=lambda optimum: optimum.log_likelihood)
+
+
+def _plausibility(end: Optimum) -> float:
+    """Return the log-likelihood of an optimum with its modes' Gaussian prior, whose variance is the likeliest.
+
+    A pupil that is cut on the wrong side can nearly be made up for by a wavefront several times as large.
+    """
+    modes = end.waves[1:]
+    size = float(np.linalg.norm(modes)) if modes.size else 1.0
+    return end.log_likelihood - modes.size * np.log(size)
 
 
 def _with_the_light(begin: Optimum, optics: Optics) -> tuple[Optics, State]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import chain, product
 
 import numpy as np
 
@@ -176,13 +176,17 @@ class Optics:
             noll=(*self.noll, *chain.from_iterable(modes)),
         )
 
-    def begun(self, before: Sequence[Part] = ()) -> Optics:
-        """Return the optics with idle parts at their start values.
+    def starts(self, before: Sequence[Part] = ()) -> list[Optics]:
+        """Return the optics with idle parts at their start values, for every combination of these.
 
         before: parts of the previous fit
         """
-        parts = (part.begun(before) if part.idle else part for part in self.parts)
-        return replace(self, parts=tuple(parts))
+        parts = (part.starts(before) if part.idle else (part,) for part in self.parts)
+        return [replace(self, parts=choice) for choice in product(*parts)]
+
+    def begun(self) -> Optics:
+        """Return the optics with idle parts at their start values, before any fit."""
+        return self.starts()[0]
 
     def twin(self) -> Optics:
         """Return the optics of the twin, whose pupil is turned by 180 degrees (thesis §3.6)."""

@@ -315,12 +315,13 @@ def test_a_cats_eye_begins_with_the_circle_that_an_uneven_rim_is_like(
     outline = np.interp(theta, np.angle(edge), abs(edge), period=2 * np.pi)
     waves = [wave(k * theta) for k in (2, 3) for wave in (np.cos, np.sin)]
     harmonics = 2 * np.mean(waves * outline, axis=1) / outline.mean()
-    begun = CatsEye().begun([UnevenRim(*harmonics)])
+    begun, opposite = CatsEye().starts([UnevenRim(*harmonics)])
     assert begun.values == pytest.approx(true.values, abs=0.06)
+    assert np.dot(begun.values[:2], opposite.values[:2]) < 0
 
 
 def test_a_cats_eye_without_an_uneven_rim_does_nothing_yet() -> None:
-    assert CatsEye().begun([Blades(7, 0.3, 0.1)]) == CatsEye()
+    assert CatsEye().starts([Blades(7, 0.3, 0.1)]) == (CatsEye(),)
     assert replace(OPTICS, parts=(CatsEye(),)).rim.is_round
 
 

@@ -58,12 +58,12 @@ class Part(Estimated):
         """Factor of each number in the twin, whose pupil is turned by 180 degrees (thesis §3.6): -1 for odd numbers."""
         return (1.0,) * len(self.labels)
 
-    def begun(self, before: Sequence[Part]) -> Self:
-        """Return the part with the start values of a fit.
+    def starts(self, before: Sequence[Part]) -> tuple[Self, ...]:
+        """Return the part with the start values of a fit; several where the right ones are not known.
 
         before: parts in the model of the previous fit
         """
-        return self
+        return (self,)
 
     @property
     def idle(self) -> bool:

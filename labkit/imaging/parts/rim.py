@@ -151,8 +151,8 @@ class Obstruction(Part):
     def at_bound(self) -> bool:
         return self.share > AT_BOUND * MOST_OBSTRUCTION**2
 
-    def begun(self, before: Sequence[Part]) -> Self:
-        return type(self)(USUAL_SHARE)
+    def starts(self, before: Sequence[Part]) -> tuple[Self, ...]:
+        return (type(self)(USUAL_SHARE),)
 
     def onto(self, rim: Rim) -> Rim:
         return replace(rim, obstructed=self.share)
@@ -162,7 +162,7 @@ class Obstruction(Part):
         if diameter is None:
             return None
         if isinstance(diameter, str):
-            return self.begun(()), True
+            return self.starts(())[0], True
         return type(self)(diameter**2), False
 
     def quantities(
@@ -318,26 +318,36 @@ class CatsEye(Part):
         most = MOST_SHIFT * (1 + self.growth)
         return self.growth <= LEAST_GROWTH or self._circle.shift > AT_BOUND * most
 
-    def begun(self, before: Sequence[Part]) -> Self:
-        """Return the circle whose outline has the harmonics of a previously fitted uneven rim."""
+    def starts(self, before: Sequence[Part]) -> tuple[Self, ...]:
+        """Return the circle of another fit, or circles on opposite sides whose outlines have the harmonics of an uneven rim.
+
+        The second harmonic does not tell the sides apart, and the third may stand for modes.
+        """
+        if eye := [part for part in before if isinstance(part, type(self))]:
+            return (self.at(eye[0].values),)
         uneven = next((part for part in before if isinstance(part, UnevenRim)), None)
         if uneven is None:
-            return self
+            return (self,)
         circles = [
-            Circle(float(s), float(r)) for s, r in product(SHIFTS, SIZES) if r - 1 < s < r
+            Circle(float(s), float(r), float(t))
+            for s, r, t in product(SHIFTS, SIZES, START_DIRECTIONS)
+            if r - 1 < s < r
         ]
-        turned = [
-            (np.linalg.norm(_turned(_harmonics(one), t) - uneven.values), one, float(t))
-            for one in circles
-            for t in START_DIRECTIONS
-        ]
-        _, best, direction = min(turned, key=lambda each: each[0])
-        return self.at(
-            [
-                best.shift * math.cos(direction),
-                best.shift * math.sin(direction),
-                best.size - 1,
-            ]
+        away = [float(np.linalg.norm(_harmonics(one) - uneven.values)) for one in circles]
+        ordered = [circles[k] for k in np.argsort(away)]
+        first = ordered[0]
+        other = next(
+            one for one in ordered if math.cos(one.direction - first.direction) < 0
+        )
+        return tuple(
+            self.at(
+                [
+                    one.shift * math.cos(one.direction),
+                    one.shift * math.sin(one.direction),
+                    one.size - 1,
+                ]
+            )
+            for one in (first, other)
         )
 
     def onto(self, rim: Rim) -> Rim:
@@ -373,26 +383,27 @@ class CatsEye(Part):
         )
 
 
-@lru_cache(maxsize=SHIFTS.size * SIZES.size)
 def _harmonics(circle: Circle) -> Floats:
     """Return the second and third harmonics (4,) of the outline of a pupil cut by a circle.
 
-    About the centre of the clear part, relative to the mean; read only.
+    About the centre of the clear part, relative to the mean.
     """
+    second, third = _upright_harmonics(replace(circle, direction=0.0))
+    turned = (
+        second * cmath.exp(2j * circle.direction),
+        third * cmath.exp(3j * circle.direction),
+    )
+    return np.array([part for one in turned for part in (one.real, one.imag)])
+
+
+@lru_cache(maxsize=SHIFTS.size * SIZES.size)
+def _upright_harmonics(circle: Circle) -> tuple[complex, complex]:
+    """Return the second and third harmonics, cosine and sine as a complex number, for a circle in the direction 0."""
     cut = Rim((Circle(), circle))
     right, down = cut.centre
     theta = np.linspace(0, FULL_TURN, 4 * ANGLES.size, endpoint=False)
     outline = cut.outline(theta)
     x, y = outline * np.cos(theta) - right, outline * np.sin(theta) - down
     about = np.interp(ANGLES, np.arctan2(y, x), np.hypot(x, y), period=FULL_TURN)
-    turns = np.array([wave(k * ANGLES) for k in (2, 3) for wave in (np.cos, np.sin)])
-    harmonics = 2 * (turns @ about) / about.sum()
-    harmonics.flags.writeable = False
-    return np.asarray(harmonics)
-
-
-def _turned(harmonics: Floats, angle: float) -> Floats:
-    """Return second and third harmonics (4,) of an outline that is turned by an angle."""
-    second = complex(*harmonics[:2]) * cmath.exp(2j * angle)
-    third = complex(*harmonics[2:]) * cmath.exp(3j * angle)
-    return np.array([second.real, second.imag, third.real, third.imag])
+    second, third = (2 * np.exp(1j * k * ANGLES) @ about / about.sum() for k in (2, 3))
+    return complex(second), complex(third)
