@@ -9,7 +9,7 @@ Every choice is fitted from an optimum with a similar choice.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property, reduce
 from itertools import chain
 
@@ -18,18 +18,11 @@ from scipy.linalg import block_diag
 from scipy.special import chdtri
 
 from labkit.estimation.candidate import Measured
-from labkit.estimation.climb import State
-from labkit.estimation.expansion import with_modes
-from labkit.estimation.local import Guesses, Optimum
+from labkit.estimation.local import Optimum
 from labkit.estimation.scores import ScoreTest
-from labkit.estimation.searches import Searches
 from labkit.estimation.settings import SETTINGS
-from labkit.estimation.stated import optics_of
-from labkit.imaging.optics import Optics
-from labkit.imaging.parts import KNOWN, Blades, Part
+from labkit.imaging.parts import KNOWN, Blades
 from labkit.mode_groups import MODE_GROUPS
-from labkit.optics.other_circle import over_other_circle
-from labkit.plan import Plan
 from labkit.results.model import PartTried
 from labkit.types import Floats, Indices
 
@@ -388,149 +381,3 @@ def _telling(ends: Mapping[int, Optimum], names: Parts) -> list[int]:
         return sum(scores[n].gain if n in scores else losses.get(n, 0.0) for n in leading)
 
     return sorted(ends, key=lambda k: -shown(k))[: SETTINGS.tried]
-
-
-@dataclass
-class Refits:
-    """Refits observations, and keeps every refit.
-
-    Attributes
-    ----------
-    search : runs searches
-    plan : the session's plan
-    made : by choice of parts and modes, the refitted optima by observation
-    begun : likewise, the optima from which these were refitted
-    """
-
-    search: Searches
-    plan: Plan
-    made: dict[Parts, dict[int, Optimum]] = field(default_factory=dict)
-    begun: dict[Parts, dict[int, Optimum]] = field(default_factory=dict)
-
-    def __call__(
-        self,
-        ends: Mapping[int, Optimum],
-        parts: Parts,
-        choice: Parts,
-        *,
-        score: bool = True,
-    ) -> dict[int, Optimum]:
-        """Refit observations with a choice of parts and modes.
-
-        Parameters
-        ----------
-        ends : by observation, the present optimum
-        parts : parts and modes in the model of the present optima
-        choice : parts and modes to fit
-        score : whether to test for parts and modes that the choice lacks
-        """
-        kept = self.made.setdefault(choice, {})
-        begin = {k: self._most_similar(k, ends[k], parts, choice) for k in ends}
-        done = self.begun.setdefault(choice, {})
-        left = {
-            k: one
-            for k, one in begin.items()
-            if k not in kept or (one is not kept[k] and one is not done.get(k))
-        }
-        done.update(left)
-        tries = {
-            k: self._starts(k, one, one.optics.parts, choice) for k, one in left.items()
-        }
-        if several := [k for k in tries if len(tries[k]) > 1]:
-            # far from focus a picture shows the pupil
-            first = max(several, key=lambda k: abs(float(left[k].waves[0])))
-            fits = [self._searched({first: one}, score) for one in tries.pop(first)]
-            kept[first] = max((fit[first] for fit in fits if fit), key=_plausibility)
-            there = kept[first].optics.parts
-            tries = {k: self._starts(k, left[k], there, choice) for k in tries}
-        kept.update(self._searched({k: one for k, (one,) in tries.items()}, score))
-        return {k: kept[k] for k in ends if k in kept}
-
-    def _starts(
-        self, k: int, begin: Optimum, before: Sequence[Part], choice: Parts
-    ) -> list[tuple[Optics, State]]:
-        """Return the starts of a refit with a choice of parts.
-
-        Parameters
-        ----------
-        k : the observation
-        begin : an optimum with a similar choice
-        before : parts from which new ones begin
-        choice : parts and modes
-        """
-        optics = optics_of(self.plan, self.search.observations[k].channel)
-        optics = optics.with_parts(choice).with_named(
-            begin.optics.camera_labels, begin.optics.camera_parameters
-        )
-        return [_with_the_light(begin, one) for one in optics.starts(before)]
-
-    def _searched(
-        self, starts: Mapping[int, tuple[Optics, State]], score: bool
-    ) -> dict[int, Optimum]:
-        """Climb from starts of some observations."""
-        if not starts:
-            return {}
-        wanted = dict[int, tuple[Optics, Guesses]]()
-        for k, (optics, state) in starts.items():
-            guess = Guesses(SETTINGS.shared_f_number_std, state=state, deep=False)
-            wanted[k] = optics, with_tests(guess, optics, self.plan) if score else guess
-        found = self.search(wanted, "fitting with other parts or modes")
-        return {k: each.best for k, each in found.items()}
-
-    def _most_similar(self, k: int, end: Optimum, parts: Parts, choice: Parts) -> Optimum:
-        """Return the likeliest optimum of an observation among fits that differ from a choice by few parts and modes.
-
-        Fits that differ by one part, or by a part in place of another, are alike: the likelier one may have found an optimum
-        that others missed.
-        """
-        fitted = [Fitted(names, made) for names, made in self.made.items() if k in made]
-        fitted.append(Fitted(parts, {k: end}))
-        away = [max(len(f.parts - choice), len(choice - f.parts)) for f in fitted]
-        alike = [
-            fits.ends[k]
-            for fits, distance in zip(fitted, away, strict=True)
-            if distance <= max(1, min(away))
-        ]
-        return max(alike, key=lambda optimum: optimum.log_likelihood)
-
-
-def _plausibility(end: Optimum) -> float:
-    """Return the log-likelihood of an optimum with its modes' Gaussian prior, whose variance is the likeliest.
-
-    A pupil that is cut on the wrong side can nearly be made up for by a wavefront several times as large.
-    """
-    modes = end.waves[1:]
-    size = float(np.linalg.norm(modes)) if modes.size else 1.0
-    return end.log_likelihood - modes.size * np.log(size)
-
-
-def _with_the_light(begin: Optimum, optics: Optics) -> tuple[Optics, State]:
-    """Return optics and state whose pupil is as large as an optimum's, and whose wavefront and picture are the same.
-
-    The unit circle of a cat's eye is the full pupil's, whose centre is not that of the clear part.
-    """
-    state = with_modes(begin.state, begin.optics, optics)
-    before, after = begin.optics.rim, optics.rim
-    wider = float(np.sqrt(before.area / after.area))
-    if wider == 1:
-        return optics, state
-    optics = replace(optics, f_number=optics.f_number / wider)
-    waves, tilts = over_other_circle(optics.noll, state.waves, before, after)
-    # a tilt of Noll 2 or 3 has a slope of 2 over the radius, which moves light by twice the f-number
-    columns, rows = 4 * tilts * optics.reference_um * optics.f_number / optics.pitch_um
-    poses = tuple(pose.shifted(-rows, -columns) for pose in state.poses)
-    return optics, replace(state, waves=waves, poses=poses)
-
-
-def with_tests(guess: Guesses, optics: Optics, plan: Plan) -> Guesses:
-    """Return a guess that requests score tests for all that the optics lack and the plan leaves open.
-
-    Tests for modes and for the pupil's rim take longer than tests for other parts. Predicted fits are tested for them only if
-    they are not explained.
-    """
-    modes = tuple(n for n in plan.fit.mode_groups if MODE_GROUPS[n].last not in optics.noll)
-    rims = tuple(name for name in optics.lacking if KNOWN[name].of_rim)
-    parts = tuple(name for name in optics.lacking if name not in rims)
-    if guess.starts or guess.modes:
-        return replace(guess, score=parts, score_unexplained=(*rims, *modes))
-    return replace(guess, score=(*parts, *rims, *modes))

@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
-from labkit.estimation.local import Found
+from labkit.estimation.local import Found, Optimum
 from labkit.estimation.observation import Observation
 from labkit.estimation.settings import SETTINGS
 from labkit.imaging.warp import Pose
@@ -101,6 +101,12 @@ def known_poses(
             poses = found[k].best.state.poses
             return tuple(pose.shifted(top, left) for pose in poses)
     return ()
+
+
+def first_of(found: Mapping[int, Found]) -> Optimum:
+    """Return the optimum from which others begin if no lens predicts them: explained, and farthest from focus."""
+    best = [each.best for each in found.values()]
+    return max(best, key=lambda one: (one.verdict.accepted, abs(float(one.waves[0]))))
 
 
 def spread(observations: Sequence[Observation], places: Collection[int]) -> list[int]:

@@ -8,12 +8,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from labkit.errors import FitError
-from labkit.estimation.camera import CameraChoice, Parts, Refits, with_tests
+from labkit.estimation.camera import CameraChoice, Parts
 from labkit.estimation.estimate import Estimate, LocalFit, is_ranged, observed
 from labkit.estimation.first_fits import (
     anchors,
     best_predicted,
     clearest,
+    first_of,
     known_poses,
     nearest_fitted,
     spread,
@@ -22,6 +23,7 @@ from labkit.estimation.laws import Laws
 from labkit.estimation.lens_fit import fit_lens
 from labkit.estimation.local import Found, Guesses, Optimum
 from labkit.estimation.observation import Observation
+from labkit.estimation.refits import Refits, with_tests
 from labkit.estimation.searches import Searches
 from labkit.estimation.select import OUT, Selection, lens_of, poor_model, select
 from labkit.estimation.settings import SETTINGS
@@ -205,7 +207,7 @@ class _Loop:
         tiles, the clearest next to fitted ones begin from their wavefront, as many at once as the field's expansion has terms.
         """
         if selection is None:
-            waves = self._clearest().waves
+            waves = first_of(self.found).waves
             return {k: self._guess(modes=(waves,)) for k in left}
         predicted, covariance = selection.lens.predictions
         modes, at = len(self._noll), selection.lens.model.defocus
@@ -213,7 +215,7 @@ class _Loop:
         stds, defocus = dict[int, float](), dict[int, float]()
         for k in left:
             if (row := self.rows.get(k)) is None:
-                guesses[k] = self._guess(modes=(self._clearest().waves,))
+                guesses[k] = self._guess(modes=(first_of(self.found).waves,))
                 continue
             waves = predicted[row, :modes]
             unsure = at if self.observations[k].tile is None else np.arange(modes)
@@ -287,7 +289,7 @@ class _Loop:
         poses: tuple[Pose, ...] = (),
     ) -> Guesses:
         unknown = self._from_nothing(deep=False)
-        known = self._clearest().verdict.accepted
+        known = first_of(self.found).verdict.accepted
         f_number_std = SETTINGS.shared_f_number_std if known else unknown.f_number_std
         return replace(
             unknown, f_number_std=f_number_std, starts=starts, poses=poses, modes=modes
@@ -324,13 +326,8 @@ class _Loop:
             predicted, _ = selection.lens.predictions
             numbers = predicted[self.rows[k], len(self._noll) : -1]
             return optics.with_named(selection.lens.model.parts, numbers)
-        clearest = self._clearest().optics
+        clearest = first_of(self.found).optics
         return optics.with_named(clearest.camera_labels, clearest.camera_parameters)
-
-    def _clearest(self) -> Optimum:
-        """Return the optimum from which others begin if no lens predicts them: explained, and farthest from focus."""
-        best = [found.best for found in self.found.values()]
-        return max(best, key=lambda one: (one.verdict.accepted, abs(float(one.waves[0]))))
 
     def _search_together(self) -> None:
         """Search several stations at once, with all modes, if the anchors' optima contradict each other."""

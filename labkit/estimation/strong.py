@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labkit.errors import LostTasksError
-from labkit.estimation.camera import Parts, cost, with_tests
+from labkit.estimation.camera import Parts, cost
 from labkit.estimation.local import Found, Guesses, Optimum
+from labkit.estimation.refits import with_tests
 from labkit.estimation.searches import Searches
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import nominal_f_number, optics_of

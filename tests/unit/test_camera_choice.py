@@ -234,6 +234,31 @@ def test_a_cats_eye_takes_the_place_of_an_uneven_rim_that_explains_less() -> Non
     assert Fits(heights, {"uneven_rim": 60.0}).chosen()[0] == {"uneven_rim"}
 
 
+class BladesBehindAnEye(Fits):
+    """Fits whose scores show seven blades only once the model has the cat's eye in front of them."""
+
+    def end(self, parts: Parts) -> Optimum:
+        end = super().end(parts)
+        if parts != Parts({"cats_eye"}):
+            return end
+        return replace(end, scores={**end.scores, "blades_7": score_test(40.0)})
+
+
+@pytest.mark.parametrize(
+    ("height", "taken"), [(180.0, {"cats_eye", "blades_7"}), (95.0, {"uneven_rim"})]
+)
+def test_a_cats_eye_is_compared_with_the_blades_that_its_own_fits_call_for(
+    height: float, taken: set[str]
+) -> None:
+    """Alone it explains less than an uneven rim that stands for both."""
+    heights: dict[tuple[str, ...], float] = {
+        ("uneven_rim",): 100.0,
+        ("cats_eye",): 90.0,
+        ("cats_eye", "blades_7"): height,
+    }
+    assert BladesBehindAnEye(heights, {"uneven_rim": 60.0}).chosen()[0] == taken
+
+
 def test_a_cats_eye_that_a_fit_does_not_need_is_taken_out_whatever_its_numbers() -> None:
     """The first fits without it were wrong; refits from the optima that it led to are as likely without it."""
     fits = Fits({("uneven_rim",): 100.0, ("cats_eye",): 150.0}, {"uneven_rim": 60.0})

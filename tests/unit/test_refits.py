@@ -9,8 +9,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from labkit.estimation.camera import Refits
 from labkit.estimation.local import Found, Guesses, Optimum
+from labkit.estimation.refits import Refits
 from labkit.estimation.searches import Searches
 from labkit.estimation.stated import optics_of
 from labkit.imaging.optics import Optics
@@ -28,14 +28,21 @@ class Played:
     """Searches that end where they are told to, and keep what they were asked for."""
 
     ends: Mapping[int, Optimum]
-    wanted: dict[int, tuple[Optics, Guesses]] = field(default_factory=dict)
+    turns: list[dict[int, tuple[Optics, Guesses]]] = field(default_factory=list)
     observations: Any = field(default_factory=observations)
+
+    @property
+    def wanted(self) -> dict[int, tuple[Optics, Guesses]]:
+        return self.turns[-1]
 
     def __call__(
         self, wanted: Mapping[int, tuple[Optics, Guesses]], doing: str
     ) -> dict[int, Found]:
-        self.wanted = dict(wanted)
-        return {k: Found((self.ends[k],)) for k in wanted}
+        self.turns.append(dict(wanted))
+        return {k: Found((self.end(k, *one),)) for k, one in wanted.items()}
+
+    def end(self, k: int, optics: Optics, guess: Guesses) -> Optimum:
+        return self.ends[k]
 
 
 def end_with(parts: frozenset[str], off: float, height: float) -> Optimum:
@@ -66,7 +73,7 @@ def test_a_cats_eye_begins_from_the_uneven_rim_in_whose_place_it_is_fitted() -> 
     refits = Refits(cast(Searches, search), PLAN)
     refits({0: round_one}, NONE, UNEVEN)
     refits({0: round_one}, NONE, EYE)
-    optics, guess = search.wanted[0]
+    optics, guess = search.turns[-2][0]
     (eye,) = optics.parts
     assert eye.name == "cats_eye"
     assert np.hypot(eye.values[0], eye.values[1]) > 0.09
@@ -77,3 +84,44 @@ def test_a_cats_eye_begins_from_the_uneven_rim_in_whose_place_it_is_fitted() -> 
     assert optics.f_number * wider == pytest.approx(oval.optics.f_number, rel=1e-12)
     # the same wavefront over the clear part: 2e-3 measured
     assert guess.state.waves[1] == pytest.approx(oval.state.waves[1] * wider**2, rel=4e-3)
+
+
+class Cut(Played):
+    """Searches for a pupil cut on its right: a circle on the left is made up for by a large wavefront."""
+
+    def end(self, k: int, optics: Optics, guess: Guesses) -> Optimum:
+        eye = [part for part in optics.parts if part.name == "cats_eye"]
+        wrong = bool(eye) and eye[0].values[0] < 0
+        end = end_with(NONE, 0.0, -99.0 if wrong else -100.0)
+        assert guess.state is not None
+        waves = np.array([guess.state.waves[0], 0.5 if wrong else 0.02])
+        return replace(end, optics=optics, state=replace(end.state, waves=waves))
+
+
+def test_both_sides_are_tried_far_from_focus_and_other_fits_begin_with_the_better_one() -> (
+    None
+):
+    uneven = KNOWN["uneven_rim"].at([-0.1, 0.0, 0.02, 0.0])
+    ovals = {}
+    for k, off in enumerate((0.0, 1.0)):
+        oval = end_with(UNEVEN, off, 0.0)
+        ovals[k] = replace(oval, optics=replace(oval.optics, parts=(uneven,)))
+    far = max(ovals, key=lambda k: abs(ovals[k].waves[0]))
+    search = Cut({})
+    refits = Refits(cast(Searches, search), PLAN)
+    ends = refits(ovals, UNEVEN, EYE)
+    sides = [one[far][0].parts[0].values[0] for one in search.turns[:2]]
+    assert list(search.turns[0]) == list(search.turns[1]) == [far]
+    assert min(sides) < 0 < max(sides)
+    assert list(search.turns[2]) == [1 - far]
+    assert ends[far].optics.parts == search.turns[2][1 - far][0].parts
+    assert all(end.optics.parts[0].values[0] > 0 for end in ends.values())
+
+
+def test_a_refit_that_was_made_from_the_same_optimum_is_not_made_again() -> None:
+    search = Played({0: end_with(SMEAR, 0.0, 0.0)})
+    refits = Refits(cast(Searches, search), PLAN)
+    missed = end_with(NONE, 0.1, -100.0)
+    first = refits({0: missed}, NONE, SMEAR)
+    assert refits({0: missed}, NONE, SMEAR) == first
+    assert len(search.turns) == 1
