@@ -130,8 +130,10 @@ def _peaks(rest: Floats, use: Bools) -> list[Floats]:
     rows, cols = scipy.fft.fftfreq(size[0])[:, None], scipy.fft.rfftfreq(size[1])[None, :]
     fast = np.hypot(rows, cols) > SLOWEST
     level = float(np.median(power[fast])) / np.log(2)
-    tops = fast & (power == ndimage.maximum_filter(power, 5, mode="wrap"))
-    tops &= power > level * (np.log(power.size) + BEYOND_CHANCE)
+    tops = fast & (power > level * (np.log(power.size) + BEYOND_CHANCE))
+    if not tops.any():
+        return []
+    tops &= power == ndimage.maximum_filter(power, 5, mode="wrap")
     amplitude = 2 * np.sqrt(power * np.sum(window**2)) / max(float(window.sum()), 1e-300)
     tops &= (amplitude > LEAST_SLOW) | (np.hypot(rows, cols) > SLOW_FREQUENCY)
     found = sorted(zip(power[tops], *np.nonzero(tops), strict=True), reverse=True)
