@@ -100,6 +100,13 @@ def in_order(results: Iterable[tuple[int, Result]]) -> Iterator[tuple[int, Resul
             index += 1
 
 
+def map_in_order(
+    run: Run, function: Callable[[Task], Result], tasks: Sequence[Task]
+) -> Iterator[Result]:
+    """Yield results in the order of the tasks, as `map` does."""
+    return (result for _, result in in_order(run(function, tasks)))
+
+
 class Workers:
     """A `Run` over processes of this machine, for one list of tasks after another; a single worker is this process itself.
 

@@ -7,6 +7,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from math import inf
 from pathlib import Path
 
@@ -36,7 +37,7 @@ from labkit.estimation.observation import Observation
 from labkit.estimation.searches import fit_task
 from labkit.estimation.session import estimate
 from labkit.estimation.split import Change, find_change
-from labkit.execute import Executed, Run, Workers, default_workers
+from labkit.execute import Executed, Run, Workers, default_workers, map_in_order
 from labkit.field.session_geometry import session_geometry
 from labkit.files import is_full
 from labkit.findings import (
@@ -55,6 +56,7 @@ from labkit.panel.seen_pixels import (
 from labkit.panel.target_pixels import as_shown, pixels_per_cell
 from labkit.plan import Plan
 from labkit.results import Results
+from labkit.results.arrays import Mapped
 from labkit.results.entries import MadeFrom
 from labkit.results.storage import kept_keys, set_aside_corrupt
 from labkit.session.completed_plan import with_body_filters, with_shown_size
@@ -140,24 +142,27 @@ def fit(
     workers = _processes(workers or default_workers(), plan, len(keys))
     target, steps = open_target(plan.target), Steps(progress)
     together = None
-    with fitted_alone(folder):
-        with threadpool_limits(1), _running(run, workers, steps) as mapped:
-            kept = KeptFits(mapped, folder / FOLDER)
-            observations, assumed = observe(
-                session,
-                plan,
-                target,
-                range_mm=ranges_mm,
-                channel=channels,
-                progress=steps.before,
-            )
-            assumed += _panel_findings(plan, target, observations)
-            shown = {o.channel: as_shown(plan, target, o.channel) for o in observations}
-            fits = estimate(observations, plan, shown, kept, steps, patience_s, plain)
-            fits = refined(fits, shown, steps.counted(kept))
-            if joint and fits.lens is not None:
-                together = refit_jointly(fits, shown, kept, steps.before)
-            change = find_change(fits)
+    with (
+        fitted_alone(folder),
+        threadpool_limits(1),
+        _running(run, workers, steps) as mapped,
+    ):
+        kept = KeptFits(mapped, folder / FOLDER)
+        observations, assumed = observe(
+            session,
+            plan,
+            target,
+            range_mm=ranges_mm,
+            channel=channels,
+            progress=steps.before,
+        )
+        assumed += _panel_findings(plan, target, observations)
+        shown = {o.channel: as_shown(plan, target, o.channel) for o in observations}
+        fits = estimate(observations, plan, shown, kept, steps, patience_s, plain)
+        fits = refined(fits, shown, steps.counted(kept))
+        if joint and fits.lens is not None:
+            together = refit_jointly(fits, shown, kept, steps.before)
+        change = find_change(fits)
         noted = _noted(
             session, plan, [*assumed, *kept.findings, *_set_aside(folder)], change
         )
@@ -173,7 +178,7 @@ def fit(
         if change is not None and split:
             every["-before"] = results_of(change.before)
             every["-after"] = results_of(change.after)
-        return _written(folder, every, kept, fits.lost)
+        return _written(folder, every, kept, fits.lost, partial(map_in_order, mapped))
 
 
 def _processes(most: int, plan: Plan, wavefronts: int) -> int:
@@ -196,7 +201,11 @@ def _running(run: Run | Executor | None, workers: int, steps: Steps) -> Iterator
 
 
 def _written(
-    folder: Path, every: Mapping[str, Results], kept: KeptFits, lost: Sequence[str]
+    folder: Path,
+    every: Mapping[str, Results],
+    kept: KeptFits,
+    lost: Sequence[str],
+    mapped: Mapped,
 ) -> Results:
     """Write results, and return the results of the whole session with their folder.
 
@@ -208,6 +217,7 @@ def _written(
     every : results by the suffix of their folder's name; "" for the whole session
     kept : completed fits
     lost : reasons why fits are missing
+    mapped : draws PSFs
     """
     made = {wavefront.key for wavefront in every[""].wavefronts}
     if lost and kept_keys(folder) - made:
@@ -216,7 +226,7 @@ def _written(
         )
     try:
         for end, results in every.items():
-            results.write(folder.with_name(folder.name + end))
+            results.write(folder.with_name(folder.name + end), mapped)
     except InputError as error:
         again = NOT_ALL_KEPT if kept.problem else FIT_AGAIN
         room = "make room and " if is_full(error) else ""

@@ -6,14 +6,18 @@ become narrower, and residuals are kept of doubtful fits and of a sample.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from math import isqrt
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from labkit.optics.metrics import psf_value
+from labkit.optics.wavefront import FittedWavefront
 from labkit.results.model import Wavefront
+from labkit.types import Floats32
 
 PSF_SAMPLES_PER_AIRY = 6.0  # of the shortest wavelength's lambda N: three times Nyquist, fine enough to interpolate
 PSF_HALF_WIDTH_AIRY = (
@@ -29,16 +33,33 @@ MOST_RESIDUAL_BYTES = 2**28
 RESIDUAL_PARTS = ("data", "model", "sigma")  # of residuals
 KEPT_NUMBER = np.float32
 Named = Iterator[tuple[str, npt.NDArray[Any]]]
+Mapped = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]
+"""`map`, or the same by several processes."""
 
 
-def psfs(wavefronts: Sequence[Wavefront]) -> Named:
-    """Yield the spacing, um, and PSFs of the optics alone on a common grid: unit sum, centred, odd."""
+@dataclass(frozen=True)
+class PsfTask:
+    """The PSF of a wavefront as a task. size: samples along a side, `spacing_um` apart."""
+
+    wavefront: FittedWavefront
+    spacing_um: float
+    size: int
+
+
+def psf_task(task: PsfTask) -> Floats32:
+    """Return a PSF as it is kept."""
+    return psf_value(task.wavefront, task.spacing_um, task.size).astype(KEPT_NUMBER)
+
+
+def psfs(wavefronts: Sequence[Wavefront], mapped: Mapped = map) -> Named:
+    """Yield the spacing, um, and PSFs of the optics alone on a common grid: unit sum, centred, odd. mapped: draws them."""
     airy_um = [w.wavelength_nm * 1e-3 * w.f_number for w in wavefronts]
     spacing_um = min(airy_um) / PSF_SAMPLES_PER_AIRY
     yield "spacing_um", np.array(spacing_um)
     size = psf_size(max(airy_um) / spacing_um, len(wavefronts))
-    for w in wavefronts:
-        yield f"psf_{w.key}", w.psf(spacing_um, size).astype(KEPT_NUMBER)
+    tasks = [PsfTask(w.fitted, spacing_um, size) for w in wavefronts]
+    for w, psf in zip(wavefronts, mapped(psf_task, tasks), strict=True):
+        yield f"psf_{w.key}", psf
 
 
 def psf_size(samples_per_airy: float, fits: int) -> int:

@@ -18,6 +18,7 @@ from labkit.optics.field import FieldModel
 from labkit.optics.lens import ThinLens
 from labkit.plan import Plan
 from labkit.results import storage, tables, verdicts
+from labkit.results.arrays import Mapped
 from labkit.results.entries import MadeFrom
 from labkit.results.geometry import ImageGeometry
 from labkit.results.model import CommonNumbers, Focus, Lens, PartTried, Wavefront
@@ -205,9 +206,12 @@ class Results:
         """
         return cls(**storage.read(Path(folder), name, residuals=residuals))
 
-    def write(self, folder: Path) -> Path:
-        """Write results.json and its arrays into a folder; returns the path of results.json. Raises InputError."""
-        return storage.write(folder, self)
+    def write(self, folder: Path, mapped: Mapped = map) -> Path:
+        """Write results.json and its arrays into a folder; returns the path of results.json. Raises InputError.
+
+        mapped: draws the PSFs, as `map` or by several processes
+        """
+        return storage.write(folder, self, mapped)
 
     def as_json(self) -> dict[str, Any]:
         """The content of results.json."""

@@ -26,7 +26,7 @@ from labkit.files import (
 from labkit.key import Key
 from labkit.optics.field import FieldModel
 from labkit.plan import Plan
-from labkit.results.arrays import RESIDUAL_PARTS, Named, psfs
+from labkit.results.arrays import RESIDUAL_PARTS, Mapped, Named, psfs
 from labkit.results.arrays import residuals as kept_residuals
 from labkit.results.model import Residuals, Wavefront
 from labkit.results.schema import READABLE, Content
@@ -47,16 +47,17 @@ REPORT_FILES = (
 )  # made of results: stale as soon as there are others
 
 
-def write(folder: Path, results: Results) -> Path:
+def write(folder: Path, results: Results, mapped: Mapped = map) -> Path:
     """Write all files into a folder, each whole or not at all, results.json last; the report of earlier results goes.
 
-    Returns the path of results.json. Raises InputError where the folder cannot be written to, or is a link.
+    mapped: draws the PSFs. Returns the path of results.json. Raises InputError where the folder cannot be written to, or is
+    a link.
     """
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
     refuse_links(folder)
     made_of: dict[str, Named] = {
-        PSFS: psfs(results.wavefronts),
+        PSFS: psfs(results.wavefronts, mapped),
         RESIDUALS: kept_residuals(results.wavefronts),
     }
     if results.field is not None:

@@ -17,7 +17,14 @@ from pathlib import Path
 import pytest
 
 from labkit.errors import FitError, LostTasksError, WorkersError
-from labkit.execute import NO_MEMORY, Executed, Workers, in_order, run_all
+from labkit.execute import (
+    NO_MEMORY,
+    Executed,
+    Workers,
+    in_order,
+    map_in_order,
+    run_all,
+)
 from labkit.numerics import versions
 from labkit.processes import say
 
@@ -82,6 +89,11 @@ def test_results_that_come_early_wait_for_their_turn() -> None:
     assert next(ordered) == (0, "a")
     assert next(came) == (1, "b")  # the first is not held back by those after it
     assert list(in_order([(2, "c"), (0, "a"), (1, "b")])) == [(0, "a"), (1, "b"), (2, "c")]
+
+
+def test_a_run_maps_as_the_builtin_does() -> None:
+    with Workers(2) as run:
+        assert list(map_in_order(run, factorial, [5, 3, 4])) == [120, 6, 24]
 
 
 def test_less_than_one_worker_is_refused() -> None:
