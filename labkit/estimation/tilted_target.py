@@ -30,7 +30,7 @@ NEAREST_DEPTH = 0.1
 
 @dataclass(frozen=True, eq=False)
 class TiltedTarget:
-    """Where the middle of the target is in the picture of each exposure, whose range is stated.
+    """The place of the target's middle in the picture of each exposure: the stated range is the middle's.
 
     Attributes
     ----------

@@ -142,7 +142,7 @@ FOCUS_QUANTITIES = (
 
 
 def depth_table(curves: Sequence[Curves], results: Results) -> Table:
-    """Where the Strehl ratio keeps to 0.8 of its highest, of each channel."""
+    """Return each channel's range of distances with a Strehl ratio of at least 0.8 of its highest."""
     errors = results.focus.best_focus_mm if results.focus else {}
     unit = "mm" if all(c.in_ranges for c in curves) else "µm"
 

@@ -124,7 +124,7 @@ class Residuals:
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """Where the fitted pixels stood in the photographs, in pixels of the raw file, pixel centres at integers.
+    """Places of the fitted pixels in the photographs, in pixels of the raw file, pixel centres at integers.
 
     origin_px, shape_px: (row, column) of the first pixel of the cut, and its (rows, columns). corners_px: (frames, 4, 2)
     [row, column] of the target's corners (0, 0), (0, w), (h, w), (h, 0) in each photograph, as fitted.

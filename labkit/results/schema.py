@@ -159,7 +159,7 @@ def _residual_spectrum(entry: ResidualSpectrumEntry) -> ResidualSpectrum:
 
 
 class ModelEntry(Entry):
-    """Whether the model explains the data."""
+    """Verdict on the model: whether it explains the data."""
 
     accepted: bool
     p_value: Number = nan

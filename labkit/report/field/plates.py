@@ -131,7 +131,7 @@ class FieldArtist:
 
     @property
     def sign_open(self) -> bool:
-        """Whether tilt, curvature, astigmatism and focus may all have the other sign: screws are then not told to move."""
+        """Return whether tilt, curvature, astigmatism and focus may all have the other sign: no screw is then told to move."""
         return sign_is_open(self.results)
 
     @property
@@ -357,7 +357,7 @@ class FieldArtist:
 
     @cached_property
     def geometry(self) -> FieldGeometry | None:
-        """Where the lens puts the tiles; None for tiles that are no grid of equal targets."""
+        """Places where the lens puts the tiles; None for tiles that are no grid of equal targets."""
         return session_geometry(self.results)
 
     def places(self) -> Iterator[Plate]:
