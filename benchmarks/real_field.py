@@ -2,7 +2,7 @@
 
 The lens is Edmund 63762 by its design (`shared/real/lens63762`), the corners of its frame at 20 degrees, in three wavelengths
 at 23,000 electrons. A session of a grid of carpets is made in FOLDER and fitted; PSFs of its field model are compared with the
-true ones midway between the carpets, where nothing was measured. FOLDER is kept: run again, only what is missing is done.
+true ones midway between neighbouring carpets, where nothing was measured. FOLDER is kept: run again, only what is missing is done.
 
 PSNR is 20 log10 of the true PSF's peak over the RMS error in a square of WINDOW_PX pixels about the chief ray. PSFs of the
 optics alone, four samples to lambda N, the true one moved to fit; one focus, common to all points and colours, is fitted too.
@@ -14,6 +14,7 @@ what each order in the field and each number of modes leave along the frame's di
 from __future__ import annotations
 
 import argparse
+import itertools
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -83,12 +84,13 @@ def fitted(session: FieldSession, folder: Path) -> Results:
 
 
 def held_out(session: FieldSession) -> list[tuple[float, float]]:
-    """Return the places (row, column) midway between four tiles."""
+    """Return the places (row, column) midway between two or four neighbouring tiles."""
     rows, cols = session.settings.grid.shape
+    halves = itertools.product(range(2 * rows - 1), range(2 * cols - 1))
     return [
-        (row * TILE_PX - 0.5, col * TILE_PX - 0.5)
-        for row in range(1, rows)
-        for col in range(1, cols)
+        ((row + 1) * TILE_PX / 2 - 0.5, (col + 1) * TILE_PX / 2 - 0.5)
+        for row, col in halves
+        if row % 2 or col % 2
     ]
 
 

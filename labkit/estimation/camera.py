@@ -181,6 +181,14 @@ def _least_gain(fits: Sequence[Optimum]) -> float:
     return SETTINGS.few * sum(unexplained)
 
 
+def _net(tests: Mapping[str, ScoreTest], parts: Parts) -> dict[str, float]:
+    """Return what further parts or groups of modes promise to gain, less their cost beside present parts."""
+    return {
+        name: test.gain - cost(extended(parts, name)) + cost(parts)
+        for name, test in tests.items()
+    }
+
+
 def _far(name: str) -> bool:
     """Return whether only a fit determines the gain of a part, and no score test."""
     return name in KNOWN and KNOWN[name].far
@@ -271,8 +279,9 @@ class CameraChoice:
     def _trials(self, present: Fitted, refused: set[Parts]) -> Iterator[Fitted]:
         """Yield the most telling fits with parts that raise their penalised likelihood; add other choices to `refused`.
 
-        A score is an approximation, which is poor for numbers far from 0. So a choice that does not explain the fits is
-        compared with the next ones of other kinds, and the best choice comes first.
+        A score is an approximation, which is poor for numbers far from 0, and many modes mimic a diaphragm of few numbers. So
+        a choice that does not explain the fits, or that clearly calls for further parts, is compared with the next ones of
+        other kinds. The best choice comes first, by its gain and the gain that a further part promises.
         """
         while True:
             trials = list[tuple[float, Fitted]]()
@@ -287,10 +296,12 @@ class CameraChoice:
                 if gain <= 0:
                     refused.add(choice)
                     continue
-                trials.append((gain, trial))
+                promised = max([0.0, *_net(self._summed(trial), choice).values()])
+                trials.append((gain + promised, trial))
                 kinds |= {kind(name) for name in added}
                 explained = _explained(trial.ends.values()) == len(trial.ends)
-                if explained or not added or len(trials) == SETTINGS.tried:
+                complete = explained and promised < SETTINGS.clear_gain
+                if complete or not added or len(trials) == SETTINGS.tried:
                     break
             if not trials:
                 return
@@ -320,9 +331,9 @@ class CameraChoice:
                 yield from self._with_blades(present, parts)
         least = _least_gain(fits)
         net = {
-            name: test.gain - cost(extended(parts, name)) + cost(parts)
-            for name, test in tests.items()
-            if (test.gain > least or _far(name)) and name not in self.wanted
+            name: gain
+            for name, gain in _net(tests, parts).items()
+            if (tests[name].gain > least or _far(name)) and name not in self.wanted
         }
         for name in sorted(net, key=lambda one: (not (least and _far(one)), -net[one])):
             if net[name] > 0:
@@ -337,11 +348,14 @@ class CameraChoice:
                 yield (parts - {name}) | set(more_common)
 
     def _tests(self, present: Fitted) -> dict[str, ScoreTest]:
-        """Return the summed score tests of some fits."""
+        """Return the summed score tests of some fits, by which all numbers of blades are compared."""
         if not any(kind(name) == Blades.kind for name in present.parts):
             self.compared.add(present.parts)
+        return self._summed(present)
+
+    def _summed(self, fitted: Fitted) -> dict[str, ScoreTest]:
         return summed_score_tests(
-            [(self.channels[k], one) for k, one in present.ends.items()]
+            [(self.channels[k], one) for k, one in fitted.ends.items()]
         )
 
     def _with_blades(self, present: Fitted, choice: Parts) -> Iterator[Parts]:

@@ -9,6 +9,7 @@ import numpy as np
 from labkit.estimation.local import Found, Optimum
 from labkit.estimation.observation import Observation
 from labkit.estimation.settings import SETTINGS
+from labkit.estimation.starts import near_focus
 from labkit.imaging.warp import Pose
 from labkit.key import Tile
 from labkit.plan import leading_channel
@@ -30,6 +31,32 @@ def anchors(observations: Sequence[Observation], places: Sequence[int]) -> list[
         return of[:1]
     ends = min(ranges, key=ranges.__getitem__), max(ranges, key=ranges.__getitem__)
     return list(dict.fromkeys(ends))
+
+
+def telling(found: Mapping[int, Found]) -> list[int]:
+    """Return the anchors that tell what the camera has: of the explained ones, or all if none is, those far from focus.
+
+    Near focus a wrong optimum may be explained by chance, or call for parts that are not there. If none is explained and none
+    is far from focus, all tell.
+    """
+    explained = [k for k in found if found[k].best.verdict.accepted]
+    far = [k for k in explained or found if not _near_focus(found[k])]
+    return far if far or explained else list(found)
+
+
+def wrong_near_focus(found: Mapping[int, Found]) -> list[int]:
+    """Return the anchors near focus that are not explained by a model that explains one far from focus.
+
+    Their optimum is wrong: it would lead the prediction of all others astray.
+    """
+    explained = [k for k in found if found[k].best.verdict.accepted]
+    if all(_near_focus(found[k]) for k in explained):
+        return []
+    return [k for k in found if k not in explained and _near_focus(found[k])]
+
+
+def _near_focus(found: Found) -> bool:
+    return near_focus(found.best.optics, found.best.waves)
 
 
 def clearest(

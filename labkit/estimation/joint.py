@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labkit.errors import LostTasksError
-from labkit.estimation.candidate import Measured
+from labkit.estimation.candidate import Measured, mostly_unexplained
 from labkit.estimation.climb import Problem, Start, State
 from labkit.estimation.estimate import Estimate
 from labkit.estimation.expansion import expand
+from labkit.estimation.laws import Laws
 from labkit.estimation.lens_fit import LensFit
 from labkit.estimation.local import Views
 from labkit.estimation.select import lens_of
@@ -114,20 +115,43 @@ def refit_jointly(
 
 
 def refined(session: Estimate, targets: Mapping[str, Target], run: Run) -> Estimate:
-    """Replace the lens by the lens after the joint climb's first step, where camera parts were fitted.
+    """Replace the lens by the lens after the joint climb's first step, where the likelihoods of single fits are no parabolas.
 
     In squares of a filter's spread the likelihood is less parabolic than in other parameters, and the session's spread lies
-    beyond the estimates of some single fits.
+    beyond the estimates of some single fits. Near focus it is less parabolic in all parameters if there is little light: fits
+    then contradict a lens that explains all photographs together.
     """
-    if session.lens is None or not any(
-        session.fits[k].optics.parts for k in session.members
-    ):
+    lens = session.lens
+    if lens is None:
         return session
+    fits = [session.fits[k] for k in session.members]
     try:
-        reached = _all_reached(session, targets, session.lens, _optima(session), run)
+        poor = mostly_unexplained(fit.optimum.verdict.accepted for fit in fits)
+        if lens.contradicted and not poor:
+            strict = _stepped(session, targets, _under_strict_laws(session, lens), run)
+            if not strict.contradicted:
+                return replace(session, lens=strict)
+        if not any(fit.optics.parts for fit in fits):
+            return session
+        return replace(session, lens=_stepped(session, targets, lens, run))
     except LostTasksError:  # for lack of memory: the two levels' end stays
         return session
-    return replace(session, lens=_lens_of(session, reached, session.lens))
+
+
+def _stepped(
+    session: Estimate, targets: Mapping[str, Target], lens: LensFit, run: Run
+) -> LensFit:
+    """Return a lens after the joint climb's first step from it."""
+    reached = _all_reached(session, targets, lens, _optima(session), run)
+    return _lens_of(session, reached, lens)
+
+
+def _under_strict_laws(session: Estimate, lens: LensFit) -> LensFit:
+    """Return the lens of the members' optima if the plan has no mistake and nothing scatters from range to range."""
+    measured = {
+        session.row(k): session.fits[k].optimum.candidate.measured for k in session.members
+    }
+    return lens_of(measured, replace(lens, model=replace(lens.model, laws=Laws())))
 
 
 def _optima(session: Estimate) -> list[Reached]:

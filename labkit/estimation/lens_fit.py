@@ -18,6 +18,7 @@ from labkit.estimation.laws import (
     OPEN,
     WAVELENGTH,
     WORKING_F_NUMBER,
+    Laws,
 )
 from labkit.estimation.lens_model import LensModel
 from labkit.estimation.settings import SETTINGS
@@ -122,13 +123,16 @@ class LensFit:
         )
 
     @property
+    def contradicted(self) -> bool:
+        """Whether members disagree beyond chance under these laws, or did under the strictest."""
+        disagree = self.p_value < SETTINGS.contradiction_chance
+        return disagree or self.model.laws != Laws()
+
+    @property
     def birge_ratio(self) -> float:
         """Birge ratio: factor by which errors grow if members disagree beyond chance, else 1."""
-        return (
-            float(np.sqrt(self.reduced_chi2))
-            if self.p_value < SETTINGS.contradiction_chance
-            else 1.0
-        )
+        disagree = self.p_value < SETTINGS.contradiction_chance
+        return float(np.sqrt(self.reduced_chi2)) if disagree else 1.0
 
     @cached_property
     def errors(self) -> Floats:

@@ -18,6 +18,8 @@ from labkit.estimation.first_fits import (
     known_poses,
     nearest_fitted,
     spread,
+    telling,
+    wrong_near_focus,
 )
 from labkit.estimation.laws import Laws
 from labkit.estimation.lens_fit import fit_lens
@@ -27,7 +29,6 @@ from labkit.estimation.refits import Refits, with_tests
 from labkit.estimation.searches import Searches
 from labkit.estimation.select import OUT, Selection, lens_of, poor_model, select
 from labkit.estimation.settings import SETTINGS
-from labkit.estimation.starts import near_focus
 from labkit.estimation.stated import Stated, nominal_f_number, optics_of, wanted_parts
 from labkit.estimation.strong import StrongSearch
 from labkit.execute import Run
@@ -142,7 +143,8 @@ class _Loop:
                 self._fit(guesses)
                 self._search_together()
                 if len(self.found) == len(self.anchors) < len(self.observations):
-                    self._choose_parts(self._telling_anchors())
+                    self._choose_parts(telling(self.found))
+                    self._forget(wrong_near_focus(self.found))
             choosing = self._choose_parts(spread(self.observations, self.found))
 
     def _next(self) -> dict[int, Guesses]:
@@ -338,6 +340,11 @@ class _Loop:
             self.parts, self.found = stronger
             self.anchors, self.deep = list(self.found), True
 
+    def _forget(self, wrong: Sequence[int]) -> None:
+        """Forget the fits of some anchors, which are then predicted as all other observations are."""
+        self.anchors = [k for k in self.anchors if k not in wrong]
+        self.found = {k: self.found[k] for k in self.found if k not in wrong}
+
     # choices
 
     def selection(self) -> Selection | None:
@@ -362,16 +369,6 @@ class _Loop:
         return optimum.twin() if twin else optimum
 
     # camera parts and groups of modes
-
-    def _telling_anchors(self) -> list[int]:
-        """Return the anchors that tell what the camera has: all if none is explained, else the explained ones far from focus.
-
-        Near focus a wrong optimum may be explained by chance.
-        """
-        best = {k: found.best for k, found in self.found.items()}
-        explained = [k for k, one in best.items() if one.verdict.accepted]
-        far = [k for k in explained if not near_focus(best[k].optics, best[k].waves)]
-        return far if explained else list(best)
 
     def _choose_parts(self, places: Sequence[int]) -> bool:
         """Adopt the camera parts and the modes that some fits show. Return whether the choice changed."""

@@ -59,7 +59,13 @@ class StrongSearch:
         optics, f_number_std = self._optics(stations, choice)
         reached = dict[int, Found]()
         for waves in self._together(stations, optics):
-            ends = self._searched(stations, optics, f_number_std, waves)
+            starts = dict(zip(stations, waves, strict=True))
+            # far from focus a right wavefront is clearly the likelier one
+            far = max(starts, key=lambda k: abs(starts[k][0]))
+            ends = self._searched({far: starts.pop(far)}, optics, f_number_std)
+            if reached and _height(ends) <= _height({far: reached[far]}):
+                continue
+            ends |= self._searched(starts, optics, f_number_std)
             if _height(ends) > _height(reached):
                 reached = ends
             optima = [one.best for one in reached.values()]
@@ -143,19 +149,12 @@ class StrongSearch:
         return ends
 
     def _searched(
-        self,
-        stations: list[int],
-        optics: Optics,
-        f_number_std: float,
-        waves: Sequence[Floats],
+        self, starts: Mapping[int, Floats], optics: Optics, f_number_std: float
     ) -> dict[int, Found]:
         """Climb over each station alone, from its wavefront (modes,) by the common search."""
         blind = Guesses(f_number_std, deep=False, alone=False)
         blind = with_tests(blind, optics, self.plan)
-        wanted = {
-            k: (optics, replace(blind, starts=(one,)))
-            for k, one in zip(stations, waves, strict=True)
-        }
+        wanted = {k: (optics, replace(blind, starts=(one,))) for k, one in starts.items()}
         return self.search(wanted, "fitting strong wavefronts")
 
 

@@ -416,6 +416,40 @@ def test_a_number_of_blades_that_nothing_contradicts_is_asked_once() -> None:
     assert Parts() not in [parts for _, parts in fits.refits]
 
 
+# what a choice promises
+
+
+@dataclass
+class Mimicked(Fits):
+    """Fits that modes explain nearly as well as blades do; modes gain beside the blades, and blades do not beside modes."""
+
+    def end(self, parts: Parts) -> Optimum:
+        beside = {Parts({"blades_5"}): {"modes_16_21": 150.0}, Parts(): self.called}
+        return Fits(
+            self.heights,
+            beside.get(parts, {}),
+            unexplained=self.unexplained,
+            explaining=self.explaining,
+        ).end(parts)
+
+
+def test_modes_that_mimic_blades_do_not_keep_them_out() -> None:
+    fits = Mimicked(
+        {
+            ("modes_16_21",): 1000.0,
+            ("blades_5",): 950.0,
+            ("blades_5", "modes_16_21"): 1100.0,
+        },
+        {"modes_16_21": 900.0, "blades_5": 800.0},
+        unexplained=1100.0,
+        explaining=Parts({"blades_5", "modes_16_21"}),
+    )
+    chosen, _ = fits.chosen()
+    assert chosen == {"blades_5", "modes_16_21"}
+    asked = [parts for count, parts in fits.refits if count == 2]
+    assert asked[0] == Parts({"blades_5"})  # all fits are refitted with the blades first
+
+
 # unphysical numbers
 
 

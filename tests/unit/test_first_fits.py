@@ -5,10 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labkit.estimation.first_fits import best_predicted, clearest, nearest_fitted, spread
+from labkit.estimation.first_fits import (
+    best_predicted,
+    clearest,
+    nearest_fitted,
+    spread,
+    telling,
+    wrong_near_focus,
+)
+from labkit.estimation.local import Found
 from labkit.estimation.observation import Observation
+from labkit.estimation.stated import optics_of
 from labkit.imaging.warp import Pose
-from tests.optimum_samples import NOISE, observations
+from tests.optimum_samples import NOISE, PLAN, observations, optimum
 
 TILE_PX = 100
 
@@ -72,3 +81,46 @@ def test_tiles_spread_over_each_photograph_decide_about_parts(
 def test_all_photographs_of_one_target_decide_about_parts() -> None:
     seen = observations("GRB")
     assert spread(seen, range(len(seen))) == [*range(len(seen))]
+
+
+FAR_MM, OTHER_END_MM, NEAR_MM = 2600.0, 3500.0, 3010.0
+"""-1.5, +1.3 and 0.03 waves of defocus."""
+
+
+def anchor(range_mm: float, *, explained: bool) -> Found:
+    return Found((optimum(optics_of(PLAN, "G"), range_mm, explained=explained),))
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "tell"),
+    [
+        ((FAR_MM, True), (NEAR_MM, True), [0]),
+        ((FAR_MM, False), (NEAR_MM, False), [0]),
+        ((FAR_MM, False), (NEAR_MM, True), []),
+        ((FAR_MM, True), (OTHER_END_MM, False), [0]),
+        ((NEAR_MM, False), (NEAR_MM, False), [0, 1]),
+    ],
+)
+def test_explained_anchors_far_from_focus_tell_what_the_camera_has(
+    first: tuple[float, bool], second: tuple[float, bool], tell: list[int]
+) -> None:
+    ends = (first, second)
+    found = {k: anchor(mm, explained=so) for k, (mm, so) in enumerate(ends)}
+    assert telling(found) == tell
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "wrong"),
+    [
+        ((FAR_MM, True), (NEAR_MM, False), [1]),
+        ((FAR_MM, True), (NEAR_MM, True), []),
+        ((FAR_MM, False), (NEAR_MM, False), []),
+        ((FAR_MM, True), (OTHER_END_MM, False), []),
+    ],
+)
+def test_an_unexplained_anchor_near_focus_is_wrong_beside_an_explained_one_far_from_it(
+    first: tuple[float, bool], second: tuple[float, bool], wrong: list[int]
+) -> None:
+    ends = (first, second)
+    found = {k: anchor(mm, explained=so) for k, (mm, so) in enumerate(ends)}
+    assert wrong_near_focus(found) == wrong
