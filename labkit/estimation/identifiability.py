@@ -84,7 +84,9 @@ def _scaled(information: Floats) -> tuple[Floats, Floats, Floats, float]:
     )
 
 
-def worse_than(error: float, covariance: Floats, names: Sequence[str]) -> tuple[str, ...]:
+def worse_than(
+    error: float, covariance: Floats, names: Sequence[str], root: Floats | None = None
+) -> tuple[str, ...]:
     """Describe combinations of parameters whose standard errors exceed a limit.
 
     Parameters
@@ -92,14 +94,17 @@ def worse_than(error: float, covariance: Floats, names: Sequence[str]) -> tuple[
     error : the limit
     covariance : (p, p) of the parameters, in the limit's unit squared
     names : (p,) of the parameters
+    root : (p, p) symmetric; a combination is as large as its product with it. None for the identity
     """
     covariance = symmetric(
         "covariance", covariance, len(names), "of the parameters' unit, squared"
     )
-    values, vectors = np.linalg.eigh(covariance)
+    size = np.eye(len(names)) if root is None else root
+    values, vectors = np.linalg.eigh(size @ covariance @ size)
+    open_ = covariance @ size @ vectors[:, values > error**2]
     return tuple(
         _in_words(d, np.ones(len(names)), names)
-        for d in _plainest(vectors[:, values > error**2])
+        for d in _plainest(open_ / np.linalg.norm(open_, axis=0))
     )
 
 

@@ -383,7 +383,9 @@ def _judged(freed: Freed) -> Optimum:
         log_likelihood=solution.objective,
         chi2_per_pixel=solution.chi2_per_pixel,
         verdict=verdict.given_covariance(
-            solution.covariance()[:modes, :modes], freed.measured.noll
+            solution.covariance()[:modes, :modes],
+            freed.measured.noll,
+            freed.optics.rim,
         ),
         relative=tuple(solution.relative),
         residual_power=residual_spectrum(

@@ -14,6 +14,8 @@ from labkit.estimation.climb import Problem, State
 from labkit.estimation.identifiability import worse_than
 from labkit.estimation.likelihood import Detector, FrameData, predict
 from labkit.estimation.settings import SETTINGS
+from labkit.optics.other_circle import root_over_clear_part
+from labkit.optics.rim import ROUND, Rim
 from labkit.optics.zernike import mode_name
 from labkit.types import Floats
 
@@ -51,9 +53,21 @@ class Verdict:
     name: str = "residuals"
     undetermined: tuple[str, ...] = ()
 
-    def given_covariance(self, covariance: Floats, noll: Sequence[int]) -> "Verdict":
-        """Return the verdict, rejected if a covariance (modes, modes), waves RMS squared, leaves a mode undetermined."""
-        open_ = worse_than(SETTINGS.unmeasured, covariance, [mode_name(j) for j in noll])
+    def given_covariance(
+        self, covariance: Floats, noll: Sequence[int], rim: Rim = ROUND
+    ) -> "Verdict":
+        """Return the verdict, rejected if a covariance leaves the wavefront over the clear pupil undetermined.
+
+        Behind a cat's eye modes of the full pupil have large errors together that no light shows.
+
+        Parameters
+        ----------
+        covariance : (modes, modes), waves RMS squared
+        noll : Noll's numbers of the modes
+        rim : the pupil's
+        """
+        names, root = [mode_name(j) for j in noll], root_over_clear_part(noll, rim)
+        open_ = worse_than(SETTINGS.unmeasured, covariance, names, root)
         return replace(self, accepted=self.accepted and not open_, undetermined=open_)
 
 

@@ -129,8 +129,6 @@ class _Loop:
         """Camera parts in the model that the plan does not state."""
         return self.parts - MODE_GROUPS.keys()
 
-    # the loop
-
     def explore(self) -> None:
         """Fit until every observation has the predicted optimum, or was climbed from the prediction.
 
@@ -143,7 +141,7 @@ class _Loop:
                 self._fit(guesses)
                 self._search_together()
                 if len(self.found) == len(self.anchors) < len(self.observations):
-                    self._choose_parts(telling(self.found))
+                    self._choose_parts(telling(self.found), alone=True)
                     self._forget(wrong_near_focus(self.found))
             choosing = self._choose_parts(spread(self.observations, self.found))
 
@@ -340,10 +338,10 @@ class _Loop:
             self.parts, self.found = stronger
             self.anchors, self.deep = list(self.found), True
 
-    def _forget(self, wrong: Sequence[int]) -> None:
+    def _forget(self, places: Sequence[int]) -> None:
         """Forget the fits of some anchors, which are then predicted as all other observations are."""
-        self.anchors = [k for k in self.anchors if k not in wrong]
-        self.found = {k: self.found[k] for k in self.found if k not in wrong}
+        self.anchors = [k for k in self.anchors if k not in places]
+        self.found = {k: self.found[k] for k in self.found if k not in places}
 
     # choices
 
@@ -370,8 +368,12 @@ class _Loop:
 
     # camera parts and groups of modes
 
-    def _choose_parts(self, places: Sequence[int]) -> bool:
-        """Adopt the camera parts and the modes that some fits show. Return whether the choice changed."""
+    def _choose_parts(self, places: Sequence[int], *, alone: bool = False) -> bool:
+        """Adopt the camera parts and the modes that some fits show. Return whether the choice changed.
+
+        Other fits are refitted. If some decide `alone`, and the choice explains them, others are forgotten: near focus a refit
+        stays at a wrong optimum.
+        """
         fits = {k: self.chosen(k) for k in places}
         asked = {k: fit.log_likelihood for k, fit in fits.items()}
         if not fits or asked == self._parts_chosen_by:
@@ -383,7 +385,10 @@ class _Loop:
         refitted = dict(self.refits.made[parts])
         self.parts = parts
         rest = [k for k in self.found if k not in refitted]
-        refitted |= self._with_parts(rest, parts)
+        if alone and all(one.verdict.accepted for one in refitted.values()):
+            self._forget(rest)
+        else:
+            refitted |= self._with_parts(rest, parts)
         self.found = {k: replace(self.found[k], optima=(refitted[k],)) for k in refitted}
         return True
 

@@ -1,4 +1,4 @@
-"""The same wavefront over another circle: of another radius, about another centre."""
+"""The same wavefront over another circle, of another radius, about another centre; and over the clear part alone."""
 
 from __future__ import annotations
 
@@ -52,3 +52,19 @@ def over_other_circle(
     normal[len(TILTED) :, len(TILTED) :] += SMALL_MODES * np.eye(len(noll))
     found: Floats = np.asarray(np.linalg.solve(normal, (basis * weights) @ path), float)
     return found[len(TILTED) :], found[1 : len(TILTED)]
+
+
+def root_over_clear_part(noll: Sequence[int], rim: Rim) -> Floats:
+    """Return a matrix (modes, modes) that maps modes to numbers whose root sum of squares is the RMS over the clear part.
+
+    Mean and tilts over the clear part do not count. In a round clear pupil it is the identity.
+    """
+    if rim.is_round:
+        return np.eye(len(noll))
+    x, y, weights = rim.quadrature(RADIAL_NODES, ANGULAR_NODES)
+    basis = modes_at((*TILTED, *noll), x, y) * np.sqrt(weights)
+    planes, _ = np.linalg.qr(basis[: len(TILTED)].T)
+    modes = basis[len(TILTED) :].T
+    modes -= planes @ (planes.T @ modes)
+    values, vectors = np.linalg.eigh(modes.T @ modes)
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
