@@ -12,6 +12,8 @@ from labkit.estimation.climb import NoisePrior, Problem, State
 from labkit.estimation.likelihood import FrameData
 from labkit.estimation.residuals import Verdict, judge
 from labkit.estimation.settings import SETTINGS
+from labkit.optics.other_circle import root_over_clear_part
+from labkit.optics.rim import Circle, Rim
 from labkit.types import Floats
 
 SHAPE = (24, 26)
@@ -42,6 +44,17 @@ def verdict(
     frame = FrameData(counts, used, np.ones(SHAPE), np.zeros(SHAPE))
     state = State(np.zeros(3), (None,), np.array([400.0]), np.array([30.0]), prior.centre)  # type: ignore[arg-type]
     return judge(Problem(NoModel(), (frame,), prior), state, [relative[used]])  # type: ignore[arg-type]
+
+
+def test_behind_a_cats_eye_the_clear_part_decides_what_is_undetermined() -> None:
+    """Half a wave of defocus, coma and spherical aberration, which leave a third of it there."""
+    accepted, noll = verdict(0, GREEN, CALIBRATED), (4, 8, 11)
+    eye = Rim((Circle(), Circle(0.5, 0.95, 0.0)))
+    _, vectors = np.linalg.eigh(root_over_clear_part(noll, eye))
+    dark = np.diag([1e-4] * 3) + 0.25 * np.outer(vectors[:, 0], vectors[:, 0])
+    assert accepted.given_covariance(dark, noll).undetermined
+    assert accepted.given_covariance(dark, noll, eye) == accepted
+    assert not accepted.given_covariance(25 * dark, noll, eye).accepted
 
 
 @pytest.mark.parametrize("prior", [CALIBRATED, UNKNOWN], ids=["calibrated", "unknown"])
