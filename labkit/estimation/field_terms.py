@@ -23,8 +23,8 @@ from labkit.estimation.laws import (
 )
 from labkit.estimation.settings import SETTINGS
 from labkit.optics.field import field_terms
-from labkit.optics.wavefront import DEFOCUS, modes_at
-from labkit.optics.zernike import noll_to_nm
+from labkit.optics.wavefront import DEFOCUS
+from labkit.optics.zernike import modes_at, noll_to_nm
 from labkit.plan.tables import ENGRAVED_F_NUMBER
 from labkit.types import Floats
 

@@ -97,7 +97,7 @@ class Blur:
             ),
             ("_camera", math.prod(parts) if parts else None),
             ("_perfect", perfect),
-            ("_perfect_psf", self._psf(halo, np.zeros(len(pupil.noll)))),
+            ("_perfect_psf", self._psf(halo, np.zeros(len(halo.noll)))),
         ):
             object.__setattr__(self, name, value)
         _times(self._perfect, *self._pixel)

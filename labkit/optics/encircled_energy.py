@@ -18,8 +18,8 @@ from scipy.special import j0, j1
 from labkit.arrays import real_array
 from labkit.optics.known_bias import in_any_light
 from labkit.optics.mtf import steepness, transfer_function
-from labkit.optics.wavefront import FittedWavefront, modes_at
-from labkit.optics.zernike import noll_to_nm
+from labkit.optics.wavefront import FittedWavefront
+from labkit.optics.zernike import modes_at, noll_to_nm
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 

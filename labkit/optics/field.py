@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike
 
 from labkit.arrays import real_array
 from labkit.optics.lens import blur_per_wave_um
-from labkit.optics.wavefront import DEFOCUS, FittedWavefront, modes_at
+from labkit.optics.wavefront import DEFOCUS, FittedWavefront
+from labkit.optics.zernike import modes_at
 from labkit.plan import leading_channel
 from labkit.types import Floats
 from labkit.uncertain import Uncertain

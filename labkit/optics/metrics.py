@@ -15,8 +15,8 @@ from labkit.arrays import positive
 from labkit.optics.known_bias import error_with_bias
 from labkit.optics.psf import Pupil
 from labkit.optics.rim import Rim
-from labkit.optics.wavefront import FittedWavefront, modes_at
-from labkit.optics.zernike import nm_to_noll, noll_to_nm
+from labkit.optics.wavefront import FittedWavefront
+from labkit.optics.zernike import modes_at, nm_to_noll, noll_to_nm
 from labkit.types import Bools, Floats
 from labkit.uncertain import Uncertain
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from labkit.optics.rim import Rim
-from labkit.optics.wavefront import modes_at
+from labkit.optics.zernike import modes_at
 from labkit.types import Floats
 
 RADIAL_NODES, ANGULAR_NODES = 12, 48

@@ -20,7 +20,7 @@ from numpy.polynomial import Polynomial
 
 from labkit.arrays import positive, real_array
 from labkit.optics.rim import ROUND, ROUND_RIM, Rim, along
-from labkit.optics.zernike import zernike
+from labkit.optics.zernike import modes_at
 from labkit.types import Complexes, Complexes64, Floats, Floats32
 
 KERNEL_REACH = 3  # of a disc's edge's kernel, in samples
@@ -226,17 +226,11 @@ class Pupil:
         )
         offsets = np.arange(-half, half + 1.0)
         y, x = offsets[:, None] / self.radius, offsets[None, :] / self.radius
-        rho = np.hypot(x, y)
-        theta = np.arctan2(y, x)
         tilt = np.exp(2j * np.pi * (self.size // 2) / self.size * offsets)
         object.__setattr__(self, "_offsets", offsets)
         object.__setattr__(self, "_tilt", np.outer(tilt, tilt))
         object.__setattr__(self, "amplitude", self._amplitude(self.rim))
-        object.__setattr__(
-            self,
-            "modes",
-            np.array([zernike(j, rho, theta) for j in self.noll]).reshape(-1, *rho.shape),
-        )
+        object.__setattr__(self, "modes", modes_at(self.noll, x, y))
 
     def check_sampling(self, stretch: float = 1.0) -> None:
         """Raise ValueError if the grid is too coarse for the PSF, stretched by a factor as of `stretched`."""
@@ -367,10 +361,13 @@ class Pupil:
 
     @property
     def halo(self) -> "Pupil":
-        """The disc whose perfect image has the same halo, averaged over all directions: itself where this is a disc."""
+        """The disc whose perfect image has the same halo, averaged over all directions: itself where this is a disc, else
+        one without modes.
+        """
         if self.rim.is_round:
             return self
-        return replace(self, f_number=self.f_number * self.rim.halo, rim=ROUND_RIM)
+        f_number = self.f_number * self.rim.halo
+        return replace(self, f_number=f_number, rim=ROUND_RIM, noll=())
 
     def psf_at(
         self, waves: Floats, at_um: Floats, only: slice = slice(None)

@@ -8,7 +8,8 @@ from labkit.optics.known_bias import in_any_light
 from labkit.optics.mtf import steepness
 from labkit.optics.psf import Pupil
 from labkit.optics.rim import Rim
-from labkit.optics.wavefront import FittedWavefront, modes_at
+from labkit.optics.wavefront import FittedWavefront
+from labkit.optics.zernike import modes_at
 from labkit.types import Complexes, Floats
 from labkit.uncertain import Uncertain
 

@@ -17,7 +17,8 @@ from labkit.optics.known_bias import in_any_light, widened
 from labkit.optics.lens import blur_per_wave_um
 from labkit.optics.mtf import Direction, azimuth_deg, modulus, nodes_for, transfer_function
 from labkit.optics.strehl import Climber, Peak, brightest_tilts, mean_square
-from labkit.optics.wavefront import DEFOCUS, FittedWavefront, modes_at
+from labkit.optics.wavefront import DEFOCUS, FittedWavefront
+from labkit.optics.zernike import modes_at
 from labkit.types import Complexes, Floats
 from labkit.uncertain import Uncertain
 

@@ -10,7 +10,7 @@ import numpy as np
 from labkit.arrays import positive, real_array
 from labkit.optics.rim import ROUND, Rim
 from labkit.optics.spectrum import Spectrum
-from labkit.optics.zernike import zernike
+from labkit.optics.zernike import modes_at
 from labkit.types import Floats
 
 DEFOCUS = 4
@@ -217,14 +217,3 @@ def at_focus(wavefront: FittedWavefront) -> FittedWavefront:
     orders, or in a pupil of another shape, the two differ.
     """
     return wavefront.without((DEFOCUS,))
-
-
-def modes_at(noll: tuple[int, ...], x: Floats, y: Floats) -> Floats:
-    """Return (modes, ...) Zernike modes at points of the pupil, whose radius is 1."""
-    rho = np.hypot(x, y)
-    theta = np.arctan2(y, x)
-    return (
-        np.stack([zernike(j, rho, theta) for j in noll])
-        if noll
-        else np.zeros((0, *np.shape(x)))
-    )

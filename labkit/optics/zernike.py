@@ -71,15 +71,16 @@ def twin_signs(noll: Sequence[int]) -> Floats:
 
 def radial(n: int, m: int, rho: Floats) -> Floats:
     """Return the radial polynomial R_n^m; thesis (2.40), corrected: (n-k)! in the numerator."""
-    m = abs(m)
-    total = np.zeros_like(rho)
-    for k in range((n - m) // 2 + 1):
-        total += (
-            (-1) ** k
-            * comb(n - k, k)
-            * comb(n - 2 * k, (n - m) // 2 - k)
-            * rho ** (n - 2 * k)
-        )
+    return np.asarray(rho ** abs(m) * _radial_part(n, abs(m), rho**2))
+
+
+def _radial_part(n: int, m: int, squared: Floats) -> Floats:
+    """Return R_n^m over the m-th power of the radius, a polynomial in the squared radius, by Horner's rule."""
+    half = (n - m) // 2
+    total = np.zeros_like(squared)
+    for k in range(half + 1):
+        total *= squared
+        total += (-1) ** k * comb(n - k, k) * comb(n - 2 * k, half - k)
     return total
 
 
@@ -99,13 +100,33 @@ def zernike(j: int, rho: Floats, theta: Floats) -> Floats:
     return sqrt(2 * (n + 1)) * radial(n, m, rho) * angular
 
 
+def modes_at(noll: Sequence[int], x: Floats, y: Floats) -> Floats:
+    """Return (modes, ...) Zernike modes at points of the pupil, whose radius is 1.
+
+    rho^m cos(m theta) and rho^m sin(m theta) are the real and the imaginary part of (x +
+    iy)^m.
+    """
+    orders = [noll_to_nm(j) for j in noll]
+    squared, place = x**2 + y**2, x + 1j * y
+    powers = [np.ones_like(place)]
+    for _ in range(max((abs(m) for _, m in orders), default=0)):
+        powers.append(powers[-1] * place)
+    modes = np.empty((len(orders), *np.shape(place)))
+    parts = dict[tuple[int, int], Floats]()
+    for mode, (n, signed) in zip(modes, orders, strict=True):
+        m = abs(signed)
+        if (n, m) not in parts:
+            norm = sqrt(n + 1) if m == 0 else sqrt(2 * (n + 1))
+            parts[n, m] = norm * _radial_part(n, m, squared)
+        turned = powers[m].real if signed >= 0 else powers[m].imag
+        np.multiply(parts[n, m], turned, out=mode)
+    return modes
+
+
 @cache
 def cartesian(j: int) -> Floats:
     """Return Noll mode j as a polynomial in x and y: (n + 1, n + 1), entry [p, q] the coefficient of x^p y^q;
     read only.
-
-    rho^m cos(m theta) and rho^m sin(m theta) are the real and the imaginary part of (x +
-    iy)^m.
     """
     n, signed = noll_to_nm(j)
     m = abs(signed)

@@ -17,8 +17,7 @@ from labkit.imaging.parts import Blades, Obstruction, Part, UnevenRim, rim_of
 from labkit.optics.other_circle import over_other_circle, root_over_clear_part
 from labkit.optics.psf import OUTLINE_REACH, Pupil, diffraction_mtf, smooth_outline
 from labkit.optics.rim import ROUND, ROUND_RIM, Circle, Diaphragm, Rim
-from labkit.optics.wavefront import modes_at
-from labkit.optics.zernike import twin_signs
+from labkit.optics.zernike import modes_at, twin_signs
 from labkit.types import Complexes, Floats
 
 RADIUS = 60.3  # samples

@@ -15,7 +15,8 @@ from labkit.optics.through_focus import (
     sensor_shift_um,
     strehl_through_focus,
 )
-from labkit.optics.wavefront import FittedWavefront, modes_at
+from labkit.optics.wavefront import FittedWavefront
+from labkit.optics.zernike import modes_at
 from labkit.types import Floats
 
 NOLL = tuple(range(4, 16))
