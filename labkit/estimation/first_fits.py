@@ -34,14 +34,15 @@ def anchors(observations: Sequence[Observation], places: Sequence[int]) -> list[
 
 
 def telling(found: Mapping[int, Found]) -> list[int]:
-    """Return the anchors that tell what the camera has: of the explained ones, or all if none is, those far from focus.
+    """Return the anchors that tell what the camera has: those far from focus, the explained ones if there are any.
 
-    Near focus a wrong optimum may be explained by chance, or call for parts that are not there. If none is explained and none
-    is far from focus, all tell.
+    Near focus a wrong optimum may be explained by chance, or call for parts that are not there. If none is far from focus and
+    none is explained, all tell.
     """
     explained = [k for k in found if found[k].best.verdict.accepted]
-    far = [k for k in explained or found if not _near_focus(found[k])]
-    return far if far or explained else list(found)
+    far = [k for k in found if not _near_focus(found[k])]
+    clear = [k for k in far if k in explained]
+    return clear or far or ([] if explained else list(found))
 
 
 def wrong_near_focus(found: Mapping[int, Found]) -> list[int]:

@@ -129,6 +129,8 @@ class _Loop:
         """Camera parts in the model that the plan does not state."""
         return self.parts - MODE_GROUPS.keys()
 
+    # the loop
+
     def explore(self) -> None:
         """Fit until every observation has the predicted optimum, or was climbed from the prediction.
 
@@ -141,7 +143,7 @@ class _Loop:
                 self._fit(guesses)
                 self._search_together()
                 if len(self.found) == len(self.anchors) < len(self.observations):
-                    self._choose_parts(telling(self.found), alone=True)
+                    self._choose_parts(telling(self.found))
                     self._forget(wrong_near_focus(self.found))
             choosing = self._choose_parts(spread(self.observations, self.found))
 
@@ -368,12 +370,8 @@ class _Loop:
 
     # camera parts and groups of modes
 
-    def _choose_parts(self, places: Sequence[int], *, alone: bool = False) -> bool:
-        """Adopt the camera parts and the modes that some fits show. Return whether the choice changed.
-
-        Other fits are refitted. If some decide `alone`, and the choice explains them, others are forgotten: near focus a refit
-        stays at a wrong optimum.
-        """
+    def _choose_parts(self, places: Sequence[int]) -> bool:
+        """Adopt the camera parts and the modes that some fits show. Return whether the choice changed."""
         fits = {k: self.chosen(k) for k in places}
         asked = {k: fit.log_likelihood for k, fit in fits.items()}
         if not fits or asked == self._parts_chosen_by:
@@ -385,10 +383,7 @@ class _Loop:
         refitted = dict(self.refits.made[parts])
         self.parts = parts
         rest = [k for k in self.found if k not in refitted]
-        if alone and all(one.verdict.accepted for one in refitted.values()):
-            self._forget(rest)
-        else:
-            refitted |= self._with_parts(rest, parts)
+        refitted |= self._with_parts(rest, parts)
         self.found = {k: replace(self.found[k], optima=(refitted[k],)) for k in refitted}
         return True
 

@@ -96,12 +96,13 @@ def anchor(range_mm: float, *, explained: bool) -> Found:
     [
         ((FAR_MM, True), (NEAR_MM, True), [0]),
         ((FAR_MM, False), (NEAR_MM, False), [0]),
-        ((FAR_MM, False), (NEAR_MM, True), []),
+        ((FAR_MM, False), (NEAR_MM, True), [0]),
+        ((NEAR_MM, True), (NEAR_MM, False), []),
         ((FAR_MM, True), (OTHER_END_MM, False), [0]),
         ((NEAR_MM, False), (NEAR_MM, False), [0, 1]),
     ],
 )
-def test_explained_anchors_far_from_focus_tell_what_the_camera_has(
+def test_anchors_far_from_focus_tell_what_the_camera_has(
     first: tuple[float, bool], second: tuple[float, bool], tell: list[int]
 ) -> None:
     ends = (first, second)
