@@ -2,7 +2,8 @@
 
 The lens is Edmund 63762 by its design (`shared/real/lens63762`), the corners of its frame at 20 degrees, in three wavelengths
 at 23,000 electrons. A session of a grid of carpets is made in FOLDER and fitted; PSFs of its field model are compared with the
-true ones midway between neighbouring carpets, where nothing was measured. FOLDER is kept: run again, only what is missing is done.
+true ones midway between neighbouring carpets, where nothing was measured. FOLDER is kept: run again, only what is missing is
+done.
 
 PSNR is 20 log10 of the true PSF's peak over the RMS error in a square of WINDOW_PX pixels about the chief ray. PSFs of the
 optics alone, four samples to lambda N, the true one moved to fit; one focus, common to all points and colours, is fitted too.

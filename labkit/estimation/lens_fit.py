@@ -123,16 +123,18 @@ class LensFit:
         )
 
     @property
-    def contradicted(self) -> bool:
-        """Whether members disagree beyond chance under these laws, or did under the strictest."""
-        disagree = self.p_value < SETTINGS.contradiction_chance
-        return disagree or self.model.laws != Laws()
-
-    @property
     def birge_ratio(self) -> float:
         """Birge ratio: factor by which errors grow if members disagree beyond chance, else 1."""
-        disagree = self.p_value < SETTINGS.contradiction_chance
-        return float(np.sqrt(self.reduced_chi2)) if disagree else 1.0
+        return (
+            float(np.sqrt(self.reduced_chi2))
+            if self.p_value < SETTINGS.contradiction_chance
+            else 1.0
+        )
+
+    @property
+    def contradicted(self) -> bool:
+        """Whether members disagree beyond chance, or did under the strictest laws."""
+        return self.birge_ratio != 1 or self.model.laws != Laws()
 
     @cached_property
     def errors(self) -> Floats:
