@@ -201,9 +201,10 @@ class Blur:
         departure = np.zeros((self.pupil.size, self.pupil.size))
         perfect = np.zeros(self._perfect.shape)
         halo = self.pupil.halo
+        flat = np.zeros(len(halo.noll))
         airy_um = halo.wavelength_um * halo.f_number
         for share, node in self.spectrum.shares:
-            for sign, pupil, at in ((1, self.pupil, waves), (-1, halo, 0 * waves)):
+            for sign, pupil, at in ((1, self.pupil, waves), (-1, halo, flat)):
                 departure += sign * share * pupil.stretched_slope(at / node, node)
             perfect += share * perfect_lens_slope(self.torus, node * airy_um)
         return self._through_camera(
@@ -218,10 +219,11 @@ class Blur:
         departure = np.zeros((self.pupil.size, self.pupil.size))
         perfect = np.zeros(self._perfect.shape)
         halo = self.pupil.halo
+        flat = np.zeros(len(halo.noll))
         airy_um = halo.wavelength_um * halo.f_number
         for node, slope in slopes.items():
             departure += slope * (
-                self.pupil.stretched(waves / node, node) - halo.stretched(0 * waves, node)
+                self.pupil.stretched(waves / node, node) - halo.stretched(flat, node)
             )
             perfect += slope * perfect_lens(self.torus, node * airy_um)
         return self._through_camera(
