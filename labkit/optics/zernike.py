@@ -113,13 +113,13 @@ def modes_at(noll: Sequence[int], x: Floats, y: Floats) -> Floats:
         powers.append(powers[-1] * place)
     modes = np.empty((len(orders), *np.shape(place)))
     parts = dict[tuple[int, int], Floats]()
-    for mode, (n, signed) in zip(modes, orders, strict=True):
+    for k, (n, signed) in enumerate(orders):
         m = abs(signed)
         if (n, m) not in parts:
             norm = sqrt(n + 1) if m == 0 else sqrt(2 * (n + 1))
             parts[n, m] = norm * _radial_part(n, m, squared)
         turned = powers[m].real if signed >= 0 else powers[m].imag
-        np.multiply(parts[n, m], turned, out=mode)
+        modes[k] = parts[n, m] * turned
     return modes
 
 
