@@ -133,7 +133,7 @@ class LensFit:
 
     @property
     def contradicted(self) -> bool:
-        """Whether members disagree beyond chance, or did under the strictest laws."""
+        """Return whether members disagree beyond chance, or did under the strictest laws."""
         return self.birge_ratio != 1 or self.model.laws != Laws()
 
     @cached_property

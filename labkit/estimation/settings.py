@@ -142,8 +142,8 @@ class Settings:
     camera part must explain, for a smaller share may have another cause."""
     clear_gain: float = 4.5
     """Difference between two choices of a channel's signs, three standard errors, below which the signs are open; extra gain
-    that a rarer camera part must have over a more common part of similar blur; gain of a further part below which a choice
-    that explains the fits is compared with no others."""
+    that a rarer camera part must have over a more common part of similar blur; net gain that a further part promises,
+    below which a choice that explains the fits is compared with no others."""
     contradiction_chance: float = 1e-3
     """Probability of a misfit at least as large below which a law is loosened, errors grow by the Birge ratio, or residuals
     are not noise."""

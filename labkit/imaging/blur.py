@@ -58,6 +58,7 @@ class Blur:
     _camera: Floats | None = field(
         init=False, repr=False, compare=False
     )  # half plane of its parts, if there are any
+    _halo: Pupil = field(init=False, repr=False, compare=False)
     _perfect: Floats = field(init=False, repr=False, compare=False)
     _perfect_psf: Floats = field(init=False, repr=False, compare=False)
 
@@ -97,6 +98,7 @@ class Blur:
             ),
             ("_camera", math.prod(parts) if parts else None),
             ("_perfect", perfect),
+            ("_halo", halo),
             ("_perfect_psf", self._psf(halo, np.zeros(len(halo.noll)))),
         ):
             object.__setattr__(self, name, value)
@@ -200,7 +202,7 @@ class Blur:
         """
         departure = np.zeros((self.pupil.size, self.pupil.size))
         perfect = np.zeros(self._perfect.shape)
-        halo = self.pupil.halo
+        halo = self._halo
         flat = np.zeros(len(halo.noll))
         airy_um = halo.wavelength_um * halo.f_number
         for share, node in self.spectrum.shares:
@@ -218,7 +220,7 @@ class Blur:
         """
         departure = np.zeros((self.pupil.size, self.pupil.size))
         perfect = np.zeros(self._perfect.shape)
-        halo = self.pupil.halo
+        halo = self._halo
         flat = np.zeros(len(halo.noll))
         airy_um = halo.wavelength_um * halo.f_number
         for node, slope in slopes.items():
