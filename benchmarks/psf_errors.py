@@ -26,7 +26,7 @@ DRAWS = 60
 def psf_errors(results: Results, lens: TrueLens, truth: Truth) -> list[list[float]]:
     """Of each wavefront, the summed absolute error of its PSF and the error that it states.
 
-    The stated error is the mean of the sum, for errors as large as those of the wavefront's modes and cone: sqrt(2 / pi) times
+    The stated error is the mean of the sum, for errors as large as those of the wavefront's modes and of lambda N: sqrt(2 / pi) times
     the sum of the samples' standard errors.
     """
     errors = []
@@ -47,7 +47,7 @@ def _error(w: Wavefront, lens: TrueLens, waves: Mapping[int, float]) -> tuple[fl
 
 
 def psf_chance(w: Wavefront, lens: TrueLens, truth: Truth, seed: int) -> float:
-    """Return the chance of a PSF error smaller than the true one, by the stated errors of modes and cone.
+    """Return the chance of a PSF error smaller than the true one, by the stated errors of modes and of lambda N.
 
     Uniform over many sessions where errors are as stated. The light is the fit's: what its unknown width adds to stated errors
     is left out. Errors are L1, without the shift of the PSF.
@@ -76,8 +76,8 @@ def _drawn(fitted: FittedWavefront, rng: np.random.Generator) -> Iterator[Fitted
     known = np.isfinite(np.diag(fitted.covariance))
     covariance = np.where(np.outer(known, known), fitted.covariance, 0.0)
     for waves in rng.multivariate_normal(fitted.waves, covariance, DRAWS):
-        f_number = fitted.f_number + fitted.f_number_std * rng.standard_normal()
-        yield replace(fitted, waves=waves, f_number=f_number)
+        scale = 1 + fitted.scale_relative_std * rng.standard_normal()
+        yield replace(fitted, waves=waves, f_number=fitted.f_number * scale)
 
 
 def _without_shift(change: Floats, psf_values: Floats) -> float:

@@ -85,6 +85,7 @@ def a_wavefront(
         "reference_wavelength_nm": 450.0,
         "f_number": 2.8,
         "f_number_std": 0.008,
+        "lambda_n": Uncertain(1.82 if channel == "R" else 1.26, 0.006, "um"),
         "blur": Uncertain(300 * defocus, 0.05, "um"),
         "noll": (4, 5, 8),
         "waves": np.array([defocus, 0.03, -0.04]),

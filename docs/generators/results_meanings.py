@@ -42,6 +42,11 @@ MEANINGS = {
     "wavefronts[].f_number_working": "The same with its standard error.",
     "wavefronts[].f_number_working.value": "Value.",
     "wavefronts[].f_number_working.std": "Standard error.",
+    "wavefronts[].lambda_n_um": (
+        "Wavelength times f-number, the scale of diffraction on the sensor; null where the fit belongs to no lens."
+    ),
+    "wavefronts[].lambda_n_um.value": "Value.",
+    "wavefronts[].lambda_n_um.std": "Standard error, which includes that of the stated wavelength.",
     "wavefronts[].blur_um": (
         "Diameter of defocus's geometric blur on the sensor, negative before best focus; null where the fit "
         "belongs to no lens."
@@ -198,6 +203,10 @@ MEANINGS = {
     "field.f_number_std": "Its standard error.",
     "field.wavelengths_nm": "Wavelength of each channel:",
     "field.wavelengths_nm.G": "One channel's, nm.",
+    "field.lambda_n_um": "Wavelength times f-number in the middle of the frame, of each channel:",
+    "field.lambda_n_um.G": "One channel's:",
+    "field.lambda_n_um.G.value": "Value.",
+    "field.lambda_n_um.G.std": "Standard error, which includes that of the stated wavelength.",
     "field.terms": "Terms of the double Zernike expansion, of every channel, field and pupil in turn:",
     "field.terms[].field": "Noll's number of the polynomial in the place on the sensor.",
     "field.terms[].pupil": "Noll's number of the mode in the pupil.",

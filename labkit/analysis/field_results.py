@@ -53,6 +53,7 @@ def as_field(session: Estimate, plan: Plan) -> FieldModel | None:
         plan.reference_wavelength_nm,
         cone,
         cone_std,
+        tuple(lens.scale_std(_innermost(lens, channel), 0.0) for channel in model.channels),
     )
 
 
@@ -130,11 +131,16 @@ def _colour_slope(lens: LensFit, channel: str) -> float:
 
 def _cone(lens: LensFit) -> tuple[float, float]:
     """Return the working f-number next to the middle of the frame, and its standard error."""
-    places = [reading.place for reading in lens.model.readings]
-    inner = min(range(len(places)), key=lambda k: np.hypot(*places[k]))
-    values, covariance = lens.posterior(inner)
+    values, covariance = lens.posterior(_innermost(lens))
     cone = float(np.exp(values[-2]))
     return cone, cone * float(np.sqrt(covariance[-2, -2]))
+
+
+def _innermost(lens: LensFit, channel: str | None = None) -> int:
+    """Return the observation next to the middle of the frame, of a channel if one is given."""
+    readings = lens.model.readings
+    among = [k for k, r in enumerate(readings) if channel in (None, r.key.channel)]
+    return min(among, key=lambda k: np.hypot(*readings[k].place))
 
 
 def _wavelength_nm(plan: Plan, channel: str) -> float:

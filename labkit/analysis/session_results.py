@@ -115,25 +115,31 @@ def _of_session(w: Wavefront, session: Estimate, k: int) -> Wavefront:
     um = blur_per_wave_um(f_number, w.reference_wavelength_nm * 1e-3)
     pull = np.zeros(len(values))
     pull[[at, -2]] = um, um * waves[at]
+    mistake = _mistaken_wavelength(w.channel, lens)
+    light_nm = w.wavelength_nm * float(np.exp(mistake))
+    lambda_n_um = 1e-3 * light_nm * f_number
     return replace(
         w,
-        wavelength_nm=_light_nm(w, lens),
+        wavelength_nm=light_nm,
         spectrum=optics.light,
         rim=optics.rim,
         waves=waves,
         covariance=covariance[:modes, :modes],
         f_number=f_number,
         f_number_std=f_number * float(np.sqrt(covariance[-2, -2])),
+        lambda_n=Uncertain(
+            lambda_n_um, lambda_n_um * lens.scale_std(session.row(k), mistake), "um"
+        ),
         blur=Uncertain(um * waves[at], float(np.sqrt(pull @ covariance @ pull)), "um"),
     )
 
 
-def _light_nm(w: Wavefront, lens: LensFit) -> float:
-    """Return the wavelength of a channel: as stated, or as estimated if the stated wavelength is a mistake."""
-    for name in ((w.channel,), ()):
+def _mistaken_wavelength(channel: str, lens: LensFit) -> float:
+    """Return ln of the estimated over the stated wavelength of a channel if the stated one is a mistake, else 0."""
+    for name in ((channel,), ()):
         if lens.model.laws.mistaken == (WAVELENGTH, name):
-            return w.wavelength_nm * float(np.exp(lens.value(WAVELENGTH, *name)))
-    return w.wavelength_nm
+            return lens.value(WAVELENGTH, *name)
+    return 0.0
 
 
 def as_focus(lens: LensFit, turned: Sequence[LensFit] = ()) -> Focus | None:

@@ -245,18 +245,47 @@ class LensFit:
         (values,) for the estimated wavelengths and pitch, see `LensModel.true`, and their covariance (values, values)
         """
         model, value = self.model, self.true_values[k]
-        slopes = model.seen(self.solved.slopes, np.array([k]))[0]
-        whole = self.errors_of(model.true_slopes(slopes), k)
+        whole = self.errors_of(self._true_slopes(k), k)
         if not model.laws.paraxial:
             whole = covariance_with_bias(whole, self._by_f_number(value))
-        if model.laws.shared:
-            return value, whole
-        scatter = model.mode_scatter()
-        noise = self.measured.covariance[k] + np.diag(model.scatter())
-        pull = np.diag(scatter) @ np.linalg.inv(noise)
-        left = np.eye(model.values) - pull
-        value = value + pull @ (self.measured.values[k] - self.solved.predicted[k])
-        return value, left @ whole @ left.T + left @ np.diag(scatter)
+        own = self._own_share(k) @ (self.measured.values[k] - self.solved.predicted[k])
+        return value + own, self._with_scatter(whole, k)
+
+    def scale_std(self, k: int, given: float) -> float:
+        """Return the relative standard error of lambda N in observation k, for a given wavelength.
+
+        A cone that errs as the wavelength does leaves lambda N, the scale of diffraction, as it is. Where blurs tell N better
+        than the wavelength is known, the wavelength's error counts; and so does what the estimated differs from the given.
+
+        Parameters
+        ----------
+        given : ln of the given over the stated wavelength
+        """
+        longer = self.model.longer[self.model.exposures[k]]
+        slopes = self._true_slopes(k)
+        slopes[-2] += longer
+        whole = self._with_scatter(self.errors_of(slopes, k), k)
+        return float(np.hypot(np.sqrt(whole[-2, -2]), longer @ self.theta - given))
+
+    def _true_slopes(self, k: int) -> Floats:
+        """Return the derivatives (values, columns) of the `true_values` of observation k."""
+        slopes = self.model.seen(self.solved.slopes, np.array([k]))[0]
+        return self.model.true_slopes(slopes)
+
+    def _own_share(self, k: int) -> Floats:
+        """Return the share (values, values) of observation k's misfit that is its modes' own scatter."""
+        scatter = np.diag(self.model.mode_scatter())
+        if self.model.laws.shared:
+            return scatter
+        noise = self.measured.covariance[k] + np.diag(self.model.scatter())
+        return np.asarray(scatter @ np.linalg.inv(noise))
+
+    def _with_scatter(self, covariance: Floats, k: int) -> Floats:
+        """Return the covariance of observation k's values for that of the values that the laws predict, (values, values) each."""
+        left = np.eye(self.model.values) - self._own_share(k)
+        return np.asarray(
+            left @ covariance @ left.T + left @ np.diag(self.model.mode_scatter())
+        )
 
     def _by_f_number(self, value: Floats) -> Floats:
         """Return the change of values (values,) if all cones are off because all wavelengths are: see `LensModel.predicted`."""

@@ -274,14 +274,14 @@ class LensModel:
         size = self.values * self.terms
         coefficients, arguments = np.split(self._sums(theta, local), [size], axis=1)
         coefficients[:, self._law_rows] += self._laws(arguments.T).T
-        coefficients[:, self._of_modes] *= np.exp(-(self._longer @ theta))[:, None]
+        coefficients[:, self._of_modes] *= np.exp(-(self.longer @ theta))[:, None]
         return coefficients
 
     def slopes(self, theta: Floats, local: Floats) -> tuple[Floats, Floats]:
         """Return derivatives of `coefficients` by the columns and by the local columns, (exposures, values x terms, ...)."""
         size = self.values * self.terms
         by_argument = self._law_slopes(self._sums(theta, local)[:, size:].T)
-        shrunk = np.exp(-(self._longer @ theta))[:, None, None]
+        shrunk = np.exp(-(self.longer @ theta))[:, None, None]
 
         def chained(rows: Floats) -> Floats:
             slopes = rows[:, :size].copy()
@@ -292,7 +292,7 @@ class LensModel:
 
         whole, own = map(chained, self._map[1:])
         modes = self.coefficients(theta, local)[:, self._of_modes, None]
-        whole[:, self._of_modes] -= modes * self._longer[:, None]
+        whole[:, self._of_modes] -= modes * self.longer[:, None]
         return whole, own
 
     def true_slopes(self, slopes: Floats) -> Floats:
@@ -325,7 +325,7 @@ class LensModel:
         )
 
     @cached_property
-    def _longer(self) -> Floats:
+    def longer(self) -> Floats:
         """(exposures, columns) derivatives of ln of the true over the stated wavelength."""
         light = np.array([column.kind == WAVELENGTH for column in self.columns])
         return np.asarray(self._map[1][:, self._law_rows[1]] * light)

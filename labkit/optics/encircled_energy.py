@@ -71,10 +71,10 @@ def encircled_energy(wavefront: FittedWavefront, radius_um: ArrayLike) -> Encirc
     centred = about_centroid(wavefront)
     mean = _mean_transfer(centred, float(radius.max(initial=0.0)))
     value, slopes = mean.energy(radius.ravel())
-    by_f_number = (
-        centred.f_number_relative_std * radius.ravel() * mean.density(radius.ravel())
+    by_scale = (
+        centred.scale_relative_std * radius.ravel() * mean.density(radius.ravel())
     )
-    std = np.hypot(np.sqrt(centred.variance(slopes)), by_f_number)
+    std = np.hypot(np.sqrt(centred.variance(slopes)), by_scale)
     return EncircledEnergy(radius, value.reshape(radius.shape), std.reshape(radius.shape))
 
 
@@ -102,7 +102,7 @@ def radius_of_energy(wavefront: FittedWavefront, share: float) -> Uncertain:
     std = float(np.sqrt(centred.variance(gradient))) / abs(
         float(mean.density(np.array([radius]))[0])
     )
-    return Uncertain(radius, np.hypot(std, centred.f_number_relative_std * radius), "um")
+    return Uncertain(radius, np.hypot(std, centred.scale_relative_std * radius), "um")
 
 
 def about_centroid(wavefront: FittedWavefront) -> FittedWavefront:

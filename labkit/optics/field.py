@@ -118,6 +118,7 @@ class FieldModel:
     wavelengths_nm : (channels,)
     reference_nm : of the unit of waves
     f_number, f_number_std : of the cone at the sensor
+    scale_std : (channels,) relative standard errors of lambda N; empty for that of the f-number
 
     Raises
     ------
@@ -134,6 +135,7 @@ class FieldModel:
     reference_nm: float
     f_number: float
     f_number_std: float = 0.0
+    scale_std: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         shape = (len(self.channels), len(self.field), len(self.noll))
@@ -211,12 +213,14 @@ class FieldModel:
         """Return the wavefront of a channel at a place (row, column), with the sensor moved away from the lens by some um."""
         waves, covariance = self.modes(channel, place_px)
         waves[..., self.noll.index(DEFOCUS)] += sensor_um / self.um_per_wave
+        of_channel = self.channels.index(channel)
         return FittedWavefront(
             self.noll,
             waves,
             covariance,
-            self.wavelengths_nm[self.channels.index(channel)],
+            self.wavelengths_nm[of_channel],
             self.reference_nm,
             self.f_number,
             self.f_number_std,
+            scale_std=self.scale_std[of_channel] if self.scale_std else None,
         )

@@ -57,7 +57,7 @@ class Directed:
 
 
 def psf(wavefront: FittedWavefront, spacing_um: float, size: int | None = None) -> Psf:
-    """Return the PSF of the optics alone on a grid, with standard errors that include the f-number's.
+    """Return the PSF of the optics alone on a grid, with standard errors that include that of lambda N.
 
     Arguments and errors raised as of `psf_value`.
     """
@@ -66,10 +66,10 @@ def psf(wavefront: FittedWavefront, spacing_um: float, size: int | None = None) 
     slopes -= value / total * slopes.sum(axis=(1, 2), keepdims=True)
     std = np.sqrt(wavefront.variance(slopes)) / total
     value = value / total
-    if wavefront.f_number_std:
+    if wavefront.scale_relative_std:
         slower = replace(wavefront, f_number=wavefront.f_number * (1 + F_NUMBER_STEP))
-        by_f_number = (psf_value(slower, spacing_um, len(value)) - value) / F_NUMBER_STEP
-        std = np.hypot(std, wavefront.f_number_relative_std * by_f_number)
+        by_scale = (psf_value(slower, spacing_um, len(value)) - value) / F_NUMBER_STEP
+        std = np.hypot(std, wavefront.scale_relative_std * by_scale)
     changes = [
         _by_light(wavefront, light, spacing_um, value)
         for light in wavefront.in_possible_lights

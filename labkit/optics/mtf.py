@@ -120,9 +120,9 @@ def mtf(
         *transfer_function(wavefront, along, azimuth, not wavefront.exact)
     )
     variance = wavefront.variance(gradient)
-    if wavefront.f_number_std:
+    if wavefront.scale_relative_std:
         slope = _slope(wavefront, along, azimuth)
-        variance = variance + (wavefront.f_number_relative_std * along * slope) ** 2
+        variance = variance + (wavefront.scale_relative_std * along * slope) ** 2
     std = np.sqrt(variance)
     return Curve(frequency, value.reshape(frequency.shape), std.reshape(frequency.shape))
 

@@ -33,11 +33,13 @@ class FittedWavefront:
     covariance : (modes, modes) of waves; nan if unknown, infinite on the diagonal for a
         mode that the data leave open
     f_number : working f-number
-    f_number_std : its standard error, which enters lengths as if independent of the modes'
+    f_number_std : its standard error, which enters depths of focus as if independent of the modes'
     rim : of the pupil; the f-number is that of the circle with the full pupil's clear area,
         over which the modes are Noll's; a cat's eye cuts the full pupil
     spectrum : of the light, about its wavelength; all wavelengths have the same path
         difference, in length
+    scale_std : relative standard error of lambda N, which enters lengths in the image as if
+        independent of the modes'; None for that of the f-number
     widest_nm : for an unknown spectrum, the largest standard deviation of the light that
         the photographs allow; 0 if known
 
@@ -57,6 +59,7 @@ class FittedWavefront:
     spectrum: Spectrum = field(default_factory=Spectrum)
     widest_nm: float = 0.0
     rim: Rim = ROUND
+    scale_std: float | None = None
 
     def __post_init__(self) -> None:
         modes = len(self.noll)
@@ -142,13 +145,14 @@ class FittedWavefront:
             return ()
         own_nm = self.wavelength_nm * max(self.spectrum.variance, 0.0) ** 0.5
         midway_nm = (own_nm + self.widest_nm) / 2
-        exact = replace(self, covariance=np.zeros_like(self.covariance), f_number_std=0.0)
+        none = np.zeros_like(self.covariance)
+        exact = replace(self, covariance=none, f_number_std=0.0, scale_std=0.0)
         return exact.in_light(midway_nm), exact.in_light(self.widest_nm)
 
     @property
     def exact(self) -> bool:
         """Return whether the wavefront has no errors: numbers computed from it need no derivatives."""
-        return not (self.covariance.any() or self.f_number_std)
+        return not (self.covariance.any() or self.f_number_std or self.scale_std)
 
     @property
     def radians_per_wave(self) -> float:
@@ -159,6 +163,11 @@ class FittedWavefront:
     def f_number_relative_std(self) -> float:
         """Relative standard error of the f-number."""
         return self.f_number_std / self.f_number
+
+    @property
+    def scale_relative_std(self) -> float:
+        """Relative standard error of lambda N, the scale of lengths in the image."""
+        return self.f_number_relative_std if self.scale_std is None else self.scale_std
 
     def index(self, j: int) -> int:
         """Return the index of Noll mode j in `noll`. Raises ValueError for a missing mode."""

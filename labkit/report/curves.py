@@ -101,7 +101,9 @@ def _unsure(w: Wavefront, results: Results) -> BestFocus | None:
         return None
     fitted = w.at_focus()
     unknown = np.full_like(fitted.covariance, np.nan)
-    return BestFocus(replace(fitted, covariance=unknown, f_number_std=np.nan))
+    return BestFocus(
+        replace(fitted, covariance=unknown, f_number_std=np.nan, scale_std=np.nan)
+    )
 
 
 def full_nyquist_per_mm(sensor: Sensor) -> float:

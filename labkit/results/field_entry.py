@@ -80,6 +80,7 @@ class FieldEntry(Entry):
     f_number: FNumber
     f_number_std: StdNumber
     wavelengths_nm: Annotated[dict[Name, Nanometres], Field(min_length=1)]
+    lambda_n_um: dict[Name, Annotated[Uncertain, uncertain("um")]] | None = None
     terms: Annotated[tuple[TermEntry, ...], Field(min_length=1, max_length=100_000)]
     sensor_tilt_um_per_mm: PairEntry | None = None
     curvature_per_mm: NumberEntry | None = None
@@ -131,6 +132,7 @@ class FieldEntry(Entry):
             f_number=field.f_number,
             f_number_std=field.f_number_std,
             wavelengths_nm=dict(zip(field.channels, field.wavelengths_nm, strict=True)),
+            lambda_n_um=_lambda_n(field),
             terms=tuple(terms),
             sensor_tilt_um_per_mm=tilt,
             curvature_per_mm=curvature,
@@ -155,6 +157,9 @@ class FieldEntry(Entry):
             raise ValueError(
                 "field.terms are not of every channel, field and pupil in turn"
             )
+        lambda_n = self.lambda_n_um or {}
+        if lambda_n and set(lambda_n) != set(channels):
+            raise ValueError("field.lambda_n_um is not of every channel")
         waves = np.array([term.waves.value for term in self.terms], float)
         return FieldModel(
             FieldFrame(self.photograph_px, pitch_um),
@@ -167,4 +172,18 @@ class FieldEntry(Entry):
             reference_nm,
             self.f_number,
             self.f_number_std,
+            tuple(lambda_n[c].std / lambda_n[c].value for c in channels if lambda_n),
         )
+
+
+def _lambda_n(field: FieldModel) -> dict[str, Uncertain] | None:
+    """Return lambda N of each channel; None for a field that has no errors of it."""
+    if not field.scale_std:
+        return None
+    values = [1e-3 * nm * field.f_number for nm in field.wavelengths_nm]
+    return {
+        channel: Uncertain(value, value * std, "um")
+        for channel, value, std in zip(
+            field.channels, values, field.scale_std, strict=True
+        )
+    }

@@ -194,6 +194,9 @@ class WavefrontEntry(Entry):
     working_f_number: Annotated[Uncertain, uncertain()] | None = Field(
         default=None, alias="f_number_working"
     )
+    lambda_n: Annotated[Uncertain, uncertain("um")] | None = Field(
+        default=None, alias="lambda_n_um"
+    )
     blur: Annotated[Uncertain, uncertain("um")] | None = Field(
         default=None, alias="blur_um"
     )

@@ -30,6 +30,7 @@ def with_modes(noll: tuple[int, ...], waves: list[float]) -> Wavefront:
         waves=np.array(waves),
         covariance=1e-6 * np.eye(len(noll)),
         f_number_std=0.0,
+        lambda_n=None,
     )
 
 

@@ -1,0 +1,74 @@
+"""The error of lambda N, which scales every length of an image, against sessions drawn with errors of filters and engravings."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labkit.types import Floats
+from labkit.uncertain import Uncertain
+from tests.lens_samples import (
+    COLOURS,
+    covariance,
+    laws,
+    lens_of,
+    measured,
+    members,
+    observed,
+    stated,
+)
+
+NEAR = tuple(np.linspace(470.0, 494.0, 5).tolist())
+FOCUS_MM, FOCAL_MM, F_NUMBER = 482.0, 60.0, 4.0
+FILTER_STD, SESSIONS = 0.005, 120
+
+
+def pulls(rng: np.random.Generator, engraved_std: float) -> Floats:
+    """(colours,) errors of one drawn session's lambda N over what it says of them."""
+    plan = stated(
+        FOCAL_MM,
+        F_NUMBER,
+        f_number=Uncertain(F_NUMBER, engraved_std * F_NUMBER),
+        wavelength_std=dict.fromkeys(COLOURS, FILTER_STD),
+        range_zero_std_mm=1.0,
+    )
+    f, n = (rng.normal(x.value, x.std) for x in (plan.focal_length, plan.f_number))
+    zero_mm = rng.normal(0, plan.range_zero_std_mm)
+    light = dict(zip(COLOURS, rng.normal(0, FILTER_STD, 3), strict=True))
+    best_mm = FOCUS_MM + zero_mm
+    every, cones = [], {}
+    for r in NEAR:
+        for c in COLOURS:
+            waves, cone, size = laws(r + zero_mm, best_mm, best_mm, f, n, 1.0)
+            cones[c] = cone
+            clean = np.array([waves * np.exp(-light[c]), cone + light[c], size])
+            noise = rng.multivariate_normal(np.zeros(3), covariance(clean[0]))
+            every.append(observed(r, c, measured(clean + noise)))
+    fit = lens_of(every, plan)
+    return np.array(
+        [
+            (fit.posterior(k)[0][-2] - cones[c] - light[c]) / fit.scale_std(k, 0.0)
+            for k, c in enumerate(COLOURS)
+        ]
+    )
+
+
+@pytest.mark.parametrize("engraved_std", [1e-3, 0.03])
+def test_lambda_n_errs_by_as_much_as_it_says(engraved_std: float) -> None:
+    """Both where the photographs tell lambda N only, and where the engraving tells N better than the filter its wavelength."""
+    rng = np.random.default_rng(7)
+    drawn = np.array([pulls(rng, engraved_std) for _ in range(SESSIONS)])
+    rms = np.sqrt(np.mean(drawn**2, axis=0))
+    # the RMS of 120 unit normals errs by 1/sqrt(240): measured 0.94 to 1.00
+    assert np.all(np.abs(rms - 1) < 2 / np.sqrt(2 * SESSIONS))
+
+
+def test_a_wavelength_counts_where_n_is_known_better() -> None:
+    """Blurs at known ranges tell the aperture's width, and so N: an error of N alone would be eleven times too small."""
+    plan = stated(FOCAL_MM, F_NUMBER, wavelength_std=dict.fromkeys(COLOURS, FILTER_STD))
+    fit = lens_of(members(NEAR, FOCUS_MM, FOCAL_MM, F_NUMBER), plan)
+    cone_std = float(np.sqrt(fit.posterior(0)[1][-2, -2]))
+    std = fit.scale_std(0, 0.0)
+    assert 10 * cone_std < std < 0.5 * FILTER_STD
+    # light that is given 1 % away from the estimate
+    assert fit.scale_std(0, 0.01) == pytest.approx(np.hypot(std, 0.01), rel=1e-6)
