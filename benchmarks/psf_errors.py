@@ -26,8 +26,8 @@ DRAWS = 60
 def psf_errors(results: Results, lens: TrueLens, truth: Truth) -> list[list[float]]:
     """Of each wavefront, the summed absolute error of its PSF and the error that it states.
 
-    The stated error is the mean of the sum, for errors as large as those of the wavefront's modes and of lambda N: sqrt(2 / pi) times
-    the sum of the samples' standard errors.
+    The stated error is the mean of the sum, for errors as large as those of the wavefront's modes and of lambda N: sqrt(2 / pi)
+    times the sum of the samples' standard errors.
     """
     errors = []
     for w in results.wavefronts:

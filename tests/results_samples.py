@@ -10,6 +10,7 @@ import numpy as np
 
 from labkit.findings import Finding, found
 from labkit.optics.field import FieldFrame
+from labkit.optics.field_rim import FieldRim, Vignetting
 from labkit.optics.rim import Circle, Diaphragm, Rim
 from labkit.optics.spectrum import Spectrum
 from labkit.plan import Plan
@@ -201,7 +202,11 @@ def full_results() -> Results:
             ]
         ),
         common=COMMON,
-        field=a_field(frame=FieldFrame((512, 768), PLAN.sensor.pixel_pitch_um)),
+        field=a_field(
+            frame=FieldFrame((512, 768), PLAN.sensor.pixel_pitch_um),
+            scale_std=(0.003,),
+            rim=FieldRim(Rim(obstructed=0.1), Vignetting(0.5, 0.01, 0.0, 1.1), (0.02, 0.0)),
+        ),
         geometry=GEOMETRY,
         joint={"focal_length_mm": 0.1},
         made_from=MadeFrom("0" * 64, "1" * 64, ranges_mm=(3000.0,), patience_s=120.0),

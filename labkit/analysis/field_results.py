@@ -19,7 +19,9 @@ from labkit.estimation.laws import (
 )
 from labkit.estimation.lens_fit import LensFit
 from labkit.estimation.lens_model import LensModel
+from labkit.imaging.parts import UnevenField, Vignetted, rim_of
 from labkit.optics.field import FieldFrame, FieldModel, field_terms
+from labkit.optics.field_rim import FieldRim
 from labkit.optics.lens import defocus_waves
 from labkit.optics.wavefront import DEFOCUS
 from labkit.plan import Plan
@@ -54,6 +56,7 @@ def as_field(session: Estimate, plan: Plan) -> FieldModel | None:
         cone,
         cone_std,
         tuple(lens.scale_std(_innermost(lens, channel), 0.0) for channel in model.channels),
+        _rim(session, lens),
     )
 
 
@@ -134,6 +137,20 @@ def _cone(lens: LensFit) -> tuple[float, float]:
     values, covariance = lens.posterior(_innermost(lens))
     cone = float(np.exp(values[-2]))
     return cone, cone * float(np.sqrt(covariance[-2, -2]))
+
+
+def _rim(session: Estimate, lens: LensFit) -> FieldRim:
+    """Return the pupil's rim over the frame, by the numbers of the whole session."""
+    k = session.members[0]
+    values, _ = lens.posterior(session.row(k))
+    optics = session.fits[k].optics
+    parts = optics.with_named(lens.model.parts, values[len(lens.model.noll) : -1]).parts
+    over_frame = (*parts, *optics.given)
+    cut = [part.vignetting for part in over_frame if isinstance(part, Vignetted)]
+    uneven = [part.values for part in over_frame if isinstance(part, UnevenField)]
+    same = [p for p in over_frame if not isinstance(p, Vignetted | UnevenField)]
+    second, third = uneven[0] if uneven else (0.0, 0.0)
+    return FieldRim(rim_of(same), cut[0] if cut else None, (second, third))
 
 
 def _innermost(lens: LensFit, channel: str | None = None) -> int:

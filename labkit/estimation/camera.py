@@ -29,7 +29,7 @@ from labkit.types import Floats, Indices
 ALIKE_BLURS = ("low_pass_filter", "diffusion", "smear", "low_pass_filter_turned")
 """Parts with the same blur to first order, the most common first."""
 
-TESTED_IN_PLACE = {"uneven_rim": "cats_eye"}
+TESTED_IN_PLACE = {"uneven_rim": "cats_eye", "uneven_field": "vignetting"}
 """Parts that are looked for in place of others, whose likelihood is not regular where they are absent."""
 
 Parts = frozenset[str]
@@ -43,10 +43,14 @@ def cost(parts: Parts) -> float:
     distributed as chi-squared with n degrees of freedom. A rarer blur must gain clearly more than the commonest blur.
     """
     rarer = parts & set(ALIKE_BLURS[1:])
-    numbers = [len(KNOWN[name].labels) for name in parts - rarer if name in KNOWN]
-    numbers += [len(KNOWN[ALIKE_BLURS[0]].labels)] * len(rarer)
-    numbers += [len(MODE_GROUPS[name].noll) for name in parts if name in MODE_GROUPS]
-    return sum(map(chance_gain, numbers)) + SETTINGS.clear_gain * len(rarer)
+    common = [*(parts - rarer), *ALIKE_BLURS[:1] * len(rarer)]
+    penalties = sum(chance_gain(numbers(name)) for name in common)
+    return penalties + SETTINGS.clear_gain * len(rarer)
+
+
+def numbers(name: str) -> int:
+    """Return how many numbers a part or a group of modes has."""
+    return len(MODE_GROUPS[name].noll if name in MODE_GROUPS else KNOWN[name].labels)
 
 
 def chance_gain(numbers: int) -> float:
@@ -105,14 +109,16 @@ def _places(measured: Measured) -> dict[str, Indices]:
 def wald_losses(fits: Sequence[Measured]) -> dict[str, float]:
     """Return the log-likelihood lost without each part, and without the highest modes (Wald test).
 
-    A part of all channels has one value for all fits: by chance each fit alone would add half a unit for each number.
+    A part of all channels has one value for all fits: by chance each fit alone would add half a unit for each number, which is
+    taken off where fits have values of their own.
     """
     losses = {name: _loss(*one) for name, one in _common(fits).items()}
     for measured in fits:
         for name, at in _places(measured).items():
             if name in MODE_GROUPS or KNOWN[name].per_channel:
                 loss = _loss(measured.values[at], _weight(measured, at))
-                losses[name] = losses.get(name, 0.0) + loss
+                before = losses.get(name)
+                losses[name] = loss if before is None else before + loss - 0.5 * at.size
     return losses
 
 
@@ -202,11 +208,16 @@ class Fitted:
     ends: Mapping[int, Optimum]
 
     def gain(self, before: Fitted) -> float:
-        """Return the log-likelihood gained over earlier fits of these observations."""
-        return sum(
+        """Return the log-likelihood gained over earlier fits of these observations by numbers common to all.
+
+        Each fit has numbers of its own, which gain half a unit each by chance.
+        """
+        more = sum(map(numbers, self.parts)) - sum(map(numbers, before.parts))
+        gained = sum(
             end.log_likelihood - before.ends[k].log_likelihood
             for k, end in self.ends.items()
         )
+        return gained - 0.5 * more * (len(self.ends) - 1)
 
     @cached_property
     def unphysical(self) -> Parts:
@@ -343,8 +354,8 @@ class CameraChoice:
                 continue
             more_common = [one for one in ALIKE_BLURS[:k] if one in tests]
             yield from ((parts - {name}) | {one} for one in more_common)
-            numbers = sum(len(KNOWN[one].labels) for one in more_common)
-            if len(more_common) > 1 and numbers <= len(KNOWN[name].labels):
+            instead = sum(map(numbers, more_common))
+            if len(more_common) > 1 and instead <= numbers(name):
                 yield (parts - {name}) | set(more_common)
 
     def _tests(self, present: Fitted) -> dict[str, ScoreTest]:

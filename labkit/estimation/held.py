@@ -30,7 +30,8 @@ def expanded_about(problem: Problem, start: Start, f_number_std: float) -> Freed
 
     Returns
     -------
-    The Gaussian about the held wavefront; its log-likelihood is that of the Gaussian's maximum, to second order
+    The Gaussian about the held wavefront, with the log-likelihood of its maximum: to second order, or as the frames have it
+    there if that is less, where a parabola does not hold so far
     """
     problem, start = wide_enough(problem, start)
     prior = camera_prior(problem.model.optics, f_number_std)
@@ -44,6 +45,7 @@ def expanded_about(problem: Problem, start: Start, f_number_std: float) -> Freed
         position = position.moved(change)
     freed = position.freed(HELD_STEPS, True)
     step, _ = freed.expansion.newton(position.precision)
-    gained = 0.5 * float(step @ freed.expansion.gradient)
-    solution = replace(freed.solution, objective=freed.solution.objective + gained)
+    foreseen = freed.solution.objective + 0.5 * float(step @ freed.expansion.gradient)
+    objective = min(foreseen, position.moved(step).objective)
+    solution = replace(freed.solution, objective=objective)
     return replace(freed, solution=solution)

@@ -281,7 +281,7 @@ class LensFit:
         return np.asarray(scatter @ np.linalg.inv(noise))
 
     def _with_scatter(self, covariance: Floats, k: int) -> Floats:
-        """Return the covariance of observation k's values for that of the values that the laws predict, (values, values) each."""
+        """Return the covariance (values, values) of observation k's values, for that of the values by the laws."""
         left = np.eye(self.model.values) - self._own_share(k)
         return np.asarray(
             left @ covariance @ left.T + left @ np.diag(self.model.mode_scatter())

@@ -66,6 +66,11 @@ class Observation:
         return float(y), float(x)
 
     @property
+    def tile_place(self) -> tuple[float, float] | None:
+        """The place of a tile; None without tiles."""
+        return None if self.tile is None else self.place
+
+    @property
     def shape(self) -> tuple[int, int]:
         """(rows, columns) of the cut."""
         rows, columns = self.frames[0].counts.shape

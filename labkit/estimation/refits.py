@@ -67,17 +67,50 @@ class Refits:
         tries = {
             k: self._starts(k, one, one.optics.parts, choice) for k, one in left.items()
         }
-        several = [k for k in tries if len(tries[k]) > 1]
-        if several:
-            # far from focus a picture shows the pupil
-            first = max(several, key=lambda k: abs(float(left[k].waves[0])))
-            reached = [self._searched({first: one}, score) for one in tries.pop(first)]
-            if fits := [each[first] for each in reached if each]:
-                kept[first] = max(fits, key=_plausibility)
-                there = kept[first].optics.parts
-                tries = {k: self._starts(k, left[k], there, choice) for k in tries}
-        kept.update(self._searched({k: one for k, (one, *_) in tries.items()}, score))
+        if any(len(each) > 1 for each in tries.values()):
+            kept.update(self._from_one(left, tries, choice, score))
+        else:
+            kept.update(self._searched({k: one for k, (one,) in tries.items()}, score))
         return {k: kept[k] for k in ends if k in kept}
+
+    def _from_one(
+        self,
+        left: Mapping[int, Optimum],
+        tries: Mapping[int, list[tuple[Optics, State]]],
+        choice: Parts,
+        score: bool,
+    ) -> dict[int, Optimum]:
+        """Refit observations whose new parts may begin in several ways, all in the way of one: fits have the parts in common.
+
+        Earlier fits with the choice have decided for one way. Else the observation that shows the pupil best tries all.
+
+        Parameters
+        ----------
+        left : optima to begin from
+        tries : starts of each
+        """
+        kept = self.made[choice]
+        if kept:
+            return self._in_the_way_of(kept, left, choice, score)
+        several = [k for k in tries if len(tries[k]) > 1]
+        first = max(several, key=lambda k: self._shows_the_pupil(k, left[k]))
+        rest = {k: one for k, one in left.items() if k != first}
+        ways = [self._searched({first: one}, score) for one in tries[first]]
+        whole = [way | self._in_the_way_of(way, rest, choice, score) for way in ways if way]
+        return max(whole, key=_joint_plausibility, default={})
+
+    def _in_the_way_of(
+        self,
+        fitted: Mapping[int, Optimum],
+        left: Mapping[int, Optimum],
+        choice: Parts,
+        score: bool,
+    ) -> dict[int, Optimum]:
+        """Refit observations from their optima, and from the parts of the fit that shows the pupil best."""
+        first = max(fitted, key=lambda k: self._shows_the_pupil(k, fitted[k]))
+        there = fitted[first].optics.parts
+        starts = {k: self._starts(k, one, there, choice)[0] for k, one in left.items()}
+        return self._searched(starts, score)
 
     def _starts(
         self, k: int, begin: Optimum, before: Sequence[Part], choice: Parts
@@ -91,11 +124,17 @@ class Refits:
         before : parts from which new ones begin
         choice : parts and modes
         """
-        optics = optics_of(self.plan, self.search.observations[k].channel)
+        observation = self.search.observations[k]
+        optics = optics_of(self.plan, observation.channel, observation.tile_place)
         optics = optics.with_parts(choice).with_named(
             begin.optics.camera_labels, begin.optics.camera_parameters
         )
         return [_with_the_light(begin, one) for one in optics.starts(before)]
+
+    def _shows_the_pupil(self, k: int, end: Optimum) -> tuple[float, float]:
+        """Return ranks of how well a photograph shows the pupil: in a corner of the frame, and far from focus."""
+        height = float(np.hypot(*self.search.observations[k].place))
+        return height, abs(float(end.waves[0]))
 
     def _searched(
         self, starts: Mapping[int, tuple[Optics, State]], score: bool
@@ -125,6 +164,11 @@ class Refits:
             if distance <= max(1, min(away))
         ]
         return max(alike, key=lambda optimum: optimum.log_likelihood)
+
+
+def _joint_plausibility(ends: Mapping[int, Optimum]) -> float:
+    """Return the plausibility of several observations' optima."""
+    return sum(map(_plausibility, ends.values()))
 
 
 def _plausibility(end: Optimum) -> float:

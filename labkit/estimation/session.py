@@ -84,7 +84,7 @@ class _Loop:
     found : optima of each observation, with the present parts in the model
     parts : camera parts and groups of modes in the model that the plan does not state
     anchors : observations that were searched from nothing
-    starts : predictions from which each observation was climbed
+    starts : predictions from which each observation was climbed with the present parts
     expanded : observations whose likelihood was expanded about a prediction, with the parts in the model then
     deep : whether a search without limit was made
     first : optimum of each observation's first fit
@@ -321,7 +321,8 @@ class _Loop:
     def _optics(self, k: int, selection: Selection | None) -> Optics:
         """Return the optics where a climb begins: f-number and camera parts by the session's lens or by the clearest fit."""
         observation = self.observations[k]
-        optics = optics_of(self.plan, observation.channel).with_parts(self.parts).begun()
+        optics = optics_of(self.plan, observation.channel, observation.tile_place)
+        optics = optics.with_parts(self.parts).begun()
         if not self.found:
             return replace(optics, f_number=self.nominal_f_number.value)
         if selection is not None and k in self.rows:
@@ -381,7 +382,7 @@ class _Loop:
         if parts == self.parts:
             return False
         refitted = dict(self.refits.made[parts])
-        self.parts = parts
+        self.parts, self.starts = parts, {}
         rest = [k for k in self.found if k not in refitted]
         refitted |= self._with_parts(rest, parts)
         self.found = {k: replace(self.found[k], optima=(refitted[k],)) for k in refitted}

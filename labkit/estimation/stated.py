@@ -10,6 +10,7 @@ import numpy as np
 from labkit.imaging.optics import Optics
 from labkit.imaging.panel_aperture import Aperture
 from labkit.imaging.parts import KNOWN
+from labkit.optics.field_rim import Place
 from labkit.optics.lens import USUAL_LOG_MAGNIFICATION, Convention, ThinLens
 from labkit.optics.spectrum import Spectrum
 from labkit.plan import Channel, Plan
@@ -65,8 +66,8 @@ class Stated:
         )
 
 
-def optics_of(plan: Plan, channel: str) -> Optics:
-    """Return light, sensor and lens of a plan's channel, with the nominal f-number."""
+def optics_of(plan: Plan, channel: str, place: Place | None = None) -> Optics:
+    """Return light, sensor and lens of a plan's channel, with the nominal f-number; place: of a tile in the frame."""
     light = next(c for c in plan.channel if c.name == channel)
     stated = [
         found for part in KNOWN.values() if (found := part.stated(plan, light)) is not None
@@ -80,6 +81,7 @@ def optics_of(plan: Plan, channel: str) -> Optics:
         noll=plan.fit.noll,
         spectrum=_spectrum(plan, light),
         typical=light.light is not None,
+        place=place,
         parts=tuple(part for part, fitted in stated if fitted),
         given=tuple(part for part, fitted in stated if not fitted),
         panel=Aperture.wanted(plan),

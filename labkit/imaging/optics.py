@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, product
 
@@ -15,6 +15,7 @@ from labkit.imaging.panel_aperture import Aperture
 from labkit.imaging.parts import KNOWN, Part, SpectrumWidth, rim_of
 from labkit.imaging.window import window_for
 from labkit.mode_groups import MODE_GROUPS
+from labkit.optics.field_rim import Place
 from labkit.optics.psf import Pupil
 from labkit.optics.rim import Rim
 from labkit.optics.spectrum import Spectrum
@@ -36,6 +37,7 @@ class Optics:
     spectrum : of the light, relative to its wavelength; None if unknown
     typical : whether the spectrum is typical of a kind of light; photographs may contradict
         its width
+    place : of a tile in the frame; None for frames without tiles
     parts : parts of the camera, to be estimated
     given : parts of the camera with known numbers
     panel : the lit part of a panel's pixels, to be estimated; None for other targets, and
@@ -57,6 +59,7 @@ class Optics:
     noll: tuple[int, ...] = tuple(range(4, 16))
     spectrum: Spectrum | None = None
     typical: bool = False
+    place: Place | None = None
     parts: tuple[Part, ...] = ()
     given: tuple[Part, ...] = ()
     panel: Aperture | None = None
@@ -160,15 +163,20 @@ class Optics:
         if self.spectrum is not None and not self.typical:
             have.add(SpectrumWidth.name)
         return [
-            name
-            for name, part in KNOWN.items()
-            if name not in have and part.kind not in kinds and part.sought
+            part.name
+            for part in self._known
+            if part.name not in have and part.kind not in kinds and part.sought
         ]
+
+    @property
+    def _known(self) -> Iterator[Part]:
+        """Known parts, for this light and this place."""
+        typical = self.spectrum if self.typical and self.spectrum else Spectrum()
+        return (part.about(typical, self.place) for part in KNOWN.values())
 
     def with_parts(self, names: Collection[str]) -> Optics:
         """Return the optics with further known parts, which do nothing yet, and with further groups of modes."""
-        typical = self.spectrum if self.typical and self.spectrum else Spectrum()
-        parts = (part.about(typical) for name, part in KNOWN.items() if name in names)
+        parts = (part for part in self._known if part.name in names)
         modes = (group.noll for name, group in MODE_GROUPS.items() if name in names)
         return replace(
             self,

@@ -71,9 +71,7 @@ def encircled_energy(wavefront: FittedWavefront, radius_um: ArrayLike) -> Encirc
     centred = about_centroid(wavefront)
     mean = _mean_transfer(centred, float(radius.max(initial=0.0)))
     value, slopes = mean.energy(radius.ravel())
-    by_scale = (
-        centred.scale_relative_std * radius.ravel() * mean.density(radius.ravel())
-    )
+    by_scale = centred.scale_relative_std * radius.ravel() * mean.density(radius.ravel())
     std = np.hypot(np.sqrt(centred.variance(slopes)), by_scale)
     return EncircledEnergy(radius, value.reshape(radius.shape), std.reshape(radius.shape))
 

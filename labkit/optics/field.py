@@ -16,7 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from labkit.arrays import real_array
+from labkit.optics.field_rim import ROUND_EVERYWHERE, FieldRim
 from labkit.optics.lens import blur_per_wave_um
+from labkit.optics.rim import Rim
 from labkit.optics.wavefront import DEFOCUS, FittedWavefront
 from labkit.optics.zernike import modes_at
 from labkit.plan import leading_channel
@@ -119,6 +121,7 @@ class FieldModel:
     reference_nm : of the unit of waves
     f_number, f_number_std : of the cone at the sensor
     scale_std : (channels,) relative standard errors of lambda N; empty for that of the f-number
+    rim : of the pupil, over the frame
 
     Raises
     ------
@@ -136,6 +139,7 @@ class FieldModel:
     f_number: float
     f_number_std: float = 0.0
     scale_std: tuple[float, ...] = ()
+    rim: FieldRim = ROUND_EVERYWHERE
 
     def __post_init__(self) -> None:
         shape = (len(self.channels), len(self.field), len(self.noll))
@@ -207,6 +211,11 @@ class FieldModel:
         std = float(scale * np.sqrt(self.covariance[at, at]))
         return Uncertain(float(scale * self.waves.ravel()[at]), std, "mm/mm²")
 
+    def rim_at(self, place_px: ArrayLike) -> Rim:
+        """Return the pupil's rim as seen from a place (row, column)."""
+        y, x = self.frame.relative(place_px)
+        return self.rim.at((float(y), float(x)))
+
     def wavefront(
         self, channel: str, place_px: ArrayLike, sensor_um: float = 0.0
     ) -> FittedWavefront:
@@ -223,4 +232,5 @@ class FieldModel:
             self.f_number,
             self.f_number_std,
             scale_std=self.scale_std[of_channel] if self.scale_std else None,
+            rim=self.rim_at(place_px),
         )

@@ -15,6 +15,7 @@ from matplotlib.ticker import LogLocator, NullLocator
 from scipy import special
 
 from labkit.figure_style import (
+    CLEAR,
     DASHED,
     DOTTED,
     FAINT,
@@ -398,7 +399,6 @@ def _frame(axes: Axes, curves: Sequence[Curves]) -> None:
 
 
 DRAWN_ARCS = 360  # of the outline as it is drawn
-CLEAR = "#e9e3cf"
 
 
 def pupil_chart(rim: Rim) -> Figure:

@@ -140,7 +140,7 @@ class Artist:
             panels.append(picture("opd_photographed", figure, range_mm, bare(range_mm)))
         yield Plate("opd_photographed", panels, across=3)
         first = self.results.wavefronts[0]
-        if not first.rim.is_round:
+        if not first.rim.is_round and first.tile is None:
             yield Plate("pupil", [drawing("pupil", charts.pupil_chart(first.rim))])
 
     def _by_range(self) -> list[tuple[float | None, Sequence[Wavefront]]]:

@@ -9,6 +9,9 @@ import numpy as np
 from pydantic import Field
 
 from labkit.optics.field import FieldFrame, FieldModel
+from labkit.optics.field_rim import ROUND_EVERYWHERE, FieldRim, Vignetting
+from labkit.optics.rim import ROUND
+from labkit.results.entries import KeptRim
 from labkit.results.geometry import Distortion, ImageGeometry, LateralColour
 from labkit.results.kept import (
     Entry,
@@ -22,6 +25,7 @@ from labkit.results.kept import (
     Size,
     StdNumber,
     array,
+    table,
     uncertain,
 )
 from labkit.types import Floats
@@ -73,6 +77,23 @@ def _lateral(entry: LateralColourEntry) -> LateralColour:
     return LateralColour(entry.scale, shift.value, shift.covariance)
 
 
+class VignettingEntry(Entry):
+    """A circle that cuts the pupil off the middle of the frame."""
+
+    along: Annotated[Finite, Field(ge=-5, le=5)] = Field(alias="shift")
+    right: Annotated[Finite, Field(ge=-5, le=5)] = 0.0
+    down: Annotated[Finite, Field(ge=-5, le=5)] = 0.0
+    size: Annotated[Finite, Field(gt=0, le=10)] = Field(alias="radius")
+
+
+class FieldPupilEntry(Entry):
+    """The rim of the pupil over the frame."""
+
+    middle: KeptRim = ROUND
+    vignetting: Annotated[Vignetting, table(VignettingEntry, Vignetting)] | None = None
+    uneven: tuple[Finite, Finite] = (0.0, 0.0)
+
+
 class FieldEntry(Entry):
     """The wavefront over the field, and where the lens puts the image."""
 
@@ -81,6 +102,9 @@ class FieldEntry(Entry):
     f_number_std: StdNumber
     wavelengths_nm: Annotated[dict[Name, Nanometres], Field(min_length=1)]
     lambda_n_um: dict[Name, Annotated[Uncertain, uncertain("um")]] | None = None
+    rim: Annotated[FieldRim, table(FieldPupilEntry, FieldRim)] | None = Field(
+        default=None, alias="pupil"
+    )
     terms: Annotated[tuple[TermEntry, ...], Field(min_length=1, max_length=100_000)]
     sensor_tilt_um_per_mm: PairEntry | None = None
     curvature_per_mm: NumberEntry | None = None
@@ -133,6 +157,7 @@ class FieldEntry(Entry):
             f_number_std=field.f_number_std,
             wavelengths_nm=dict(zip(field.channels, field.wavelengths_nm, strict=True)),
             lambda_n_um=_lambda_n(field),
+            rim=None if field.rim == ROUND_EVERYWHERE else field.rim,
             terms=tuple(terms),
             sensor_tilt_um_per_mm=tilt,
             curvature_per_mm=curvature,
@@ -173,6 +198,7 @@ class FieldEntry(Entry):
             self.f_number,
             self.f_number_std,
             tuple(lambda_n[c].std / lambda_n[c].value for c in channels if lambda_n),
+            self.rim or ROUND_EVERYWHERE,
         )
 
 
@@ -183,7 +209,5 @@ def _lambda_n(field: FieldModel) -> dict[str, Uncertain] | None:
     values = [1e-3 * nm * field.f_number for nm in field.wavelengths_nm]
     return {
         channel: Uncertain(value, value * std, "um")
-        for channel, value, std in zip(
-            field.channels, values, field.scale_std, strict=True
-        )
+        for channel, value, std in zip(field.channels, values, field.scale_std, strict=True)
     }

@@ -13,7 +13,15 @@ from scipy.special import j1
 from labkit.imaging.blur import Blur
 from labkit.imaging.grid import Torus
 from labkit.imaging.optics import Optics
-from labkit.imaging.parts import Blades, Obstruction, Part, UnevenRim, rim_of
+from labkit.imaging.parts import (
+    Blades,
+    Obstruction,
+    Part,
+    UnevenField,
+    UnevenRim,
+    Vignetted,
+    rim_of,
+)
 from labkit.optics.other_circle import over_other_circle, root_over_clear_part
 from labkit.optics.psf import OUTLINE_REACH, Pupil, diffraction_mtf, smooth_outline
 from labkit.optics.rim import ROUND, ROUND_RIM, Circle, Diaphragm, Rim
@@ -266,6 +274,8 @@ def nearby(parts: Sequence[Part], k: int, step: float) -> list[tuple[Rim, Rim, f
         (Obstruction(0.2),),
         (UnevenRim(0.05, -0.03, 0.02, 0.04),),
         (Blades(5, 0.3, -0.4), Obstruction(0.1), UnevenRim(0.05, -0.03, 0.02, 0.04)),
+        (UnevenField(-0.2, 0.05, (-0.55, 0.8)),),
+        (Vignetted(0.6, 0.02, -0.01, -0.4, (-0.55, 0.8)),),
     ],
 )
 def test_slopes_of_a_psf_are_its_differences(parts: tuple[Part, ...]) -> None:
@@ -282,8 +292,15 @@ def test_slopes_of_a_psf_are_its_differences(parts: tuple[Part, ...]) -> None:
             assert error < 1e-6 * np.abs(difference).max()
 
 
-def test_a_twin_has_the_rim_turned_by_half_a_turn() -> None:
-    parts = (Blades(5, 0.3, -0.4), Obstruction(0.1), UnevenRim(0.05, -0.03, 0.02, 0.04))
+@pytest.mark.parametrize(
+    "parts",
+    [
+        (Blades(5, 0.3, -0.4), Obstruction(0.1), UnevenRim(0.05, -0.03, 0.02, 0.04)),
+        (UnevenField(-0.2, 0.05, (-0.55, 0.8)),),
+        (Vignetted(0.6, 0.02, -0.01, -0.4, (-0.55, 0.8)),),
+    ],
+)
+def test_a_twin_has_the_rim_turned_by_half_a_turn(parts: tuple[Part, ...]) -> None:
     optics = Optics(
         wavelength_nm=550.0,
         reference_nm=450.0,

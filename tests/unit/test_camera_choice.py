@@ -22,6 +22,7 @@ from labkit.estimation.local import Optimum
 from labkit.estimation.scores import ScoreTest
 from labkit.estimation.stated import optics_of
 from labkit.results.model import PartTried
+from tests.lens_samples import MODE_STD, measured
 from tests.optimum_samples import PLAN, optimum
 
 OPTICS = optics_of(PLAN, "G")
@@ -150,6 +151,14 @@ def test_the_worth_of_parts_is_the_misfit_of_their_numbers() -> None:
     assert wald_losses(fits) == pytest.approx({"low_pass_filter": 2.0, "diffusion": 16.0})
 
 
+def test_modes_of_several_fits_are_worth_more_than_chance_gives_to_each() -> None:
+    """Six numbers gain three units in each fit by chance; those that the fits share count once."""
+    of = measured(np.zeros(3), dict.fromkeys(range(16, 22), MODE_STD))
+    # each number is one standard error
+    assert wald_losses([of]) == pytest.approx({"modes_16_21": 3.0})
+    assert wald_losses([of] * 4) == pytest.approx({"modes_16_21": 4 * 3.0 - 3 * 3.0})
+
+
 def test_a_rarer_part_costs_more_than_a_commoner_one_that_blurs_alike() -> None:
     plain, diffusion, smear = (
         cost(Parts([name])) for name in ("low_pass_filter", "diffusion", "smear")
@@ -181,7 +190,8 @@ def test_a_part_that_the_fits_need_is_taken_in() -> None:
     names, choice = fits.chosen()
     assert names == {"smear"}
     assert choice.missing == ()
-    assert choice.tried == [PartTried("smear", 500.0, adopted=True)]
+    # 500 in all, less half a unit for each of three numbers in four more fits
+    assert choice.tried == [PartTried("smear", 494.0, adopted=True)]
 
 
 def test_the_fits_that_show_most_of_a_part_decide_before_all_others_are_climbed() -> None:
@@ -202,6 +212,14 @@ def test_a_part_that_gains_less_than_it_costs_is_not_taken_in(
     # the three fits that show most of it decide first: they alone must gain its price
     fits = Fits({("diffusion",): gain * price / 30}, {"diffusion": 10.0})
     assert fits.chosen()[0] == taken
+
+
+def test_modes_that_gain_what_chance_gives_to_each_fit_are_not_taken_in() -> None:
+    """Five fits gain 3.5 each, 17.5 together, which is more than six numbers cost."""
+    group = Parts(["modes_16_21"])
+    assert 5 * 3.5 > cost(group) > 5 * 3.5 - 4 * 3.0
+    names, _ = Fits({("modes_16_21",): 3.5}, {"modes_16_21": 4.0}).chosen()
+    assert not names
 
 
 def test_a_part_that_the_fits_do_not_call_for_is_not_climbed_with() -> None:
@@ -358,7 +376,7 @@ def test_a_fit_whose_climb_is_lost_stays_as_it_was() -> None:
     choice = CameraChoice(refit, Parts(), ["G"] * FITS)
     ends = {k: fits.end(Parts()) for k in range(FITS)}
     assert choice.chosen(ends, Parts()) == {"smear"}
-    assert choice.tried == [PartTried("smear", 400.0, adopted=True)]
+    assert choice.tried == [PartTried("smear", 395.5, adopted=True)]
 
 
 def test_an_obstruction_is_tried_by_a_fit_where_its_score_promises_little() -> None:

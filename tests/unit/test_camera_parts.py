@@ -28,8 +28,10 @@ from labkit.imaging.parts import (
     Part,
     Smear,
     SpectrumWidth,
+    UnevenField,
     UnevenRim,
     Veil,
+    Vignetted,
 )
 from labkit.imaging.parts.rim import USUAL_SHARE
 from labkit.optics.spectrum import Spectrum
@@ -41,6 +43,7 @@ from tests.plans import PORTRAIT, RED_AND_GREEN
 from tests.results_samples import some_results
 from tests.unit.test_cone import CARPET, FRAME, OPTICS, POSE, TRUTH, photographed
 
+CORNER = -0.55, 0.8
 GREEN = Channel(name="G", wavelength_nm=550.0)
 PLAN = Plan.from_tables(PORTRAIT)
 EVERY = (
@@ -56,6 +59,8 @@ RIMS = (
     Obstruction(0.42**2),
     UnevenRim(0.05, -0.02, 0.03, 0.01),
     CatsEye(0.3, -0.4, 0.2),
+    UnevenField(-0.2, 0.05, CORNER),
+    Vignetted(0.6, 0.02, -0.01, -0.4, CORNER),
 )
 WIDTH = SpectrumWidth(0.02**2)
 

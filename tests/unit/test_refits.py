@@ -118,6 +118,35 @@ def test_both_sides_are_tried_far_from_focus_and_other_fits_begin_with_the_bette
     assert all(end.optics.parts[0].values[0] > 0 for end in ends.values())
 
 
+class Misled(Cut):
+    """The same, but the fit far from focus is misled: there the wrong side is likelier."""
+
+    def end(self, k: int, optics: Optics, guess: Guesses) -> Optimum:
+        end = super().end(k, optics, guess)
+        wrong = optics.parts[0].values[0] < 0
+        height = 10.0 if wrong and k == FAR else -10.0 if wrong else 0.0
+        return replace(end, log_likelihood=end.log_likelihood + height)
+
+
+FAR = 1
+
+
+def test_all_fits_together_decide_for_a_side_and_later_ones_keep_it() -> None:
+    uneven = KNOWN["uneven_rim"].at([-0.1, 0.0, 0.02, 0.0])
+    ovals = {}
+    for k, off in enumerate((0.0, 1.0, 0.1, 0.2)):
+        oval = end_with(UNEVEN, off, 0.0)
+        ovals[k] = replace(oval, optics=replace(oval.optics, parts=(uneven,)))
+    search = Misled({}, observations=observations() * 2)
+    refits = Refits(cast(Searches, search), PLAN)
+    first = refits({k: ovals[k] for k in (0, FAR, 2)}, UNEVEN, EYE)
+    assert all(end.optics.parts[0].values[0] > 0 for end in first.values())
+    before = len(search.turns)
+    later = refits({3: ovals[3]}, UNEVEN, EYE)
+    assert len(search.turns) == before + 1
+    assert later[3].optics.parts[0].values[0] > 0
+
+
 def test_a_refit_that_was_made_from_the_same_optimum_is_not_made_again() -> None:
     search = Played({0: end_with(SMEAR, 0.0, 0.0)})
     refits = Refits(cast(Searches, search), PLAN)

@@ -1,4 +1,4 @@
-"""The error of lambda N, which scales every length of an image, against sessions drawn with errors of filters and engravings."""
+"""The error of lambda N, which scales lengths of an image, against sessions drawn with errors of filters and engravings."""
 
 from __future__ import annotations
 

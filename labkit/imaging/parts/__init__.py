@@ -3,6 +3,7 @@
 from labkit.imaging.estimated import Estimated
 from labkit.imaging.panel_aperture import Aperture
 from labkit.imaging.parts.blur import Diffusion, LowPass, Smear, Veil
+from labkit.imaging.parts.field_rim import UnevenField, Vignetted
 from labkit.imaging.parts.part import Part, rim_of
 from labkit.imaging.parts.rim import Blades, CatsEye, Obstruction, UnevenRim
 from labkit.imaging.parts.spectrum import SpectrumWidth
@@ -21,8 +22,10 @@ __all__ = [
     "Part",
     "Smear",
     "SpectrumWidth",
+    "UnevenField",
     "UnevenRim",
     "Veil",
+    "Vignetted",
     "rim_of",
 ]
 
@@ -39,6 +42,8 @@ KNOWN: dict[str, Part] = {
         Obstruction(),
         UnevenRim(),
         CatsEye(),
+        UnevenField(),
+        Vignetted(),
     )
 }
 """Parts that camera and lens may have, by name, the commonest first; each does nothing yet."""

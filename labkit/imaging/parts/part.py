@@ -12,6 +12,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from labkit.imaging.estimated import Estimated
+from labkit.optics.field_rim import Place
 from labkit.optics.rim import ROUND, Rim
 from labkit.optics.spectrum import Spectrum
 from labkit.plan import Channel, Plan
@@ -102,8 +103,8 @@ class Part(Estimated):
         """Broadest spectrum within an estimate's bounds; None for parts other than the spectrum."""
         return None
 
-    def about(self, typical: Spectrum) -> Self:
-        """Return the part for light of a typical spectrum, on which only parts of the light depend."""
+    def about(self, typical: Spectrum, place: Place | None) -> Self:
+        """Return the part for light of a typical spectrum and, of tiles, for a place of the frame."""
         return self
 
     def light_slopes(self) -> tuple[Mapping[float, float], ...]:

@@ -328,17 +328,6 @@ class CatsEye(Part):
         uneven = next((part for part in before if isinstance(part, UnevenRim)), None)
         if uneven is None:
             return (self,)
-        circles = [
-            Circle(float(s), float(r), float(t))
-            for s, r, t in product(SHIFTS, SIZES, START_DIRECTIONS)
-            if r - 1 < s < r
-        ]
-        away = [float(np.linalg.norm(_harmonics(one) - uneven.values)) for one in circles]
-        ordered = [circles[k] for k in np.argsort(away)]
-        first = ordered[0]
-        other = next(
-            one for one in ordered if math.cos(one.direction - first.direction) < 0
-        )
         return tuple(
             self.at(
                 [
@@ -347,7 +336,7 @@ class CatsEye(Part):
                     one.size - 1,
                 ]
             )
-            for one in (first, other)
+            for one in circles_like(uneven.values, START_DIRECTIONS)
         )
 
     def onto(self, rim: Rim) -> Rim:
@@ -381,6 +370,22 @@ class CatsEye(Part):
         return self.at(
             [shift * math.cos(direction), shift * math.sin(direction), radius - 1]
         )
+
+
+def circles_like(uneven: Sequence[float], directions: Floats) -> tuple[Circle, Circle]:
+    """Return the circle whose cut outline has second and third harmonics (4,) like these, and one on the opposite side.
+
+    directions: of their shifts, with opposite ones among them
+    """
+    circles = [
+        Circle(float(s), float(r), float(t))
+        for s, r, t in product(SHIFTS, SIZES, directions)
+        if r - 1 < s < r
+    ]
+    away = [float(np.linalg.norm(_harmonics(one) - uneven)) for one in circles]
+    first, *ordered = (circles[k] for k in np.argsort(away))
+    other = next(one for one in ordered if math.cos(one.direction - first.direction) < 0)
+    return first, other
 
 
 def _harmonics(circle: Circle) -> Floats:

@@ -9,6 +9,7 @@ from typing import ClassVar, Self
 
 from labkit.imaging.estimated import root
 from labkit.imaging.parts.part import Part, finite
+from labkit.optics.field_rim import Place
 from labkit.optics.spectrum import ONE_WAVELENGTH, WIDEST_SPECTRUM, Spectrum
 from labkit.plan import Channel, Plan
 from labkit.uncertain import Uncertain
@@ -52,7 +53,7 @@ class SpectrumWidth(Part):
         least, most = self._bounds
         return replace(self, variance=min(max(float(variance), least), most))
 
-    def about(self, typical: Spectrum) -> Self:
+    def about(self, typical: Spectrum, place: Place | None) -> Self:
         return replace(self, typical=typical)
 
     @property

@@ -27,6 +27,7 @@ from labkit.field.tiles import covered, sign_is_open
 from labkit.field.turned import planned_screws
 from labkit.figure_style import HALF_IN, Ink
 from labkit.optics.field import FieldModel
+from labkit.optics.field_rim import ROUND_EVERYWHERE
 from labkit.plan import leading_channel
 from labkit.report.charts import quantile_chart
 from labkit.report.field.cards import field_cards
@@ -62,6 +63,7 @@ from labkit.report.field.shapes import (
     astigmatism_chart,
     coma_chart,
     longest_waves,
+    pupils_chart,
     stamp_half_width_um,
     stamps_chart,
 )
@@ -337,8 +339,11 @@ class FieldArtist:
         return Plate("field_mtf_maps", panels)
 
     def shapes(self) -> Iterator[Plate]:
-        """Yield coma and astigmatism over the frame, of the leading channel."""
+        """Yield coma and astigmatism over the frame, of the leading channel, and the pupil unless round everywhere."""
         yield self._shapes(self.lead)
+        if self.model.rim != ROUND_EVERYWHERE:
+            pupils = pupils_chart(self.model)
+            yield Plate("field_pupils", [drawing("field_pupils", pupils)])
 
     def _shapes(self, channel: str) -> Plate:
         ink = self.inks[channel]

@@ -12,9 +12,11 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, PathPatch
+from matplotlib.path import Path
 
 from labkit.field.surfaces import focus_um
-from labkit.figure_style import HALF_IN, INK, SOFT_INK, Ink, round_length
+from labkit.figure_style import CLEAR, HALF_IN, INK, SOFT_INK, Ink, round_length
 from labkit.optics.field import FieldModel
 from labkit.optics.metrics import psf_value
 from labkit.report.field.maps import frame_axes
@@ -31,6 +33,8 @@ LONGEST_ARROW = 0.42
 
 FAN = 2 * np.pi * np.arange(24) / 24
 STAMP_SAMPLES = 61
+PUPILS_ACROSS, PUPIL_SHARE, PUPIL_ARCS = 7, 0.42, 120
+"""Pupils over the frame: how many, their radius over the distance of their places, and arcs of an outline."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,6 +142,23 @@ def _scale(figure: Figure, axes: Axes, longest_waves: float, mm_per_wave: float)
     """Draw a bar below the frame with a round number of waves."""
     waves = round_length(longest_waves)
     bar(figure, axes, waves * mm_per_wave, f"{waves:g} waves RMS")
+
+
+def pupils_chart(model: FieldModel) -> Figure:
+    """Draw the clear part of the pupil as seen from places over the frame; y down as on the sensor."""
+    grid = Grid.middles(model.frame, PUPILS_ACROSS)
+    figure, axes = frame_axes(model.frame, HALF_IN, title="pupil", below_in=0.2)
+    for at, (y, x) in zip(grid.each_px, grid.each_mm, strict=True):
+        rim = model.rim_at(at)
+        mm = PUPIL_SHARE * grid.step_mm / model.rim.middle.outer
+        edges = [mm * edge + (x, y) for edge in rim.edges(PUPIL_ARCS)]
+        closed = [Path(np.concatenate([e, e[:1]]), closed=True) for e in edges]
+        axes.add_patch(
+            PathPatch(Path.make_compound_path(*closed), fc=CLEAR, ec=INK, lw=0.8)
+        )
+        full = Circle((x, y), mm * rim.outer, fill=False, ec=SOFT_INK, lw=0.6)
+        axes.add_patch(full)
+    return figure
 
 
 def bar(figure: Figure, axes: Axes, length_mm: float, words: str) -> None:

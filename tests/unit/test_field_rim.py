@@ -1,0 +1,113 @@
+"""The pupil's rim over the frame, against circles that are drawn by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labkit.imaging.parts import UnevenField, Vignetted
+from labkit.imaging.parts.field_rim import CLEAR_SIZE, MOST_ALONG
+from labkit.imaging.parts.rim import MOST_SHIFT
+from labkit.optics.field_rim import FieldRim, Place, Vignetting
+from labkit.optics.rim import ROUND, Diaphragm, Rim
+from labkit.types import Floats
+from tests.field_samples import a_field
+from tests.unit.test_cone import OPTICS
+
+CORNER: Place = (-0.6, 0.8)
+MIDDLE: Place = (0.0, 0.0)
+ELEMENT = Vignetting(0.5, 0.02, -0.03, 1.1)
+
+
+def radii(rim: Rim, angles: Floats) -> Floats:
+    """The outline by bisection of what is inside."""
+    low, high = np.zeros_like(angles), np.full_like(angles, 3.0)
+    for _ in range(40):
+        middle = (low + high) / 2
+        clear = rim.inside(middle * np.cos(angles), middle * np.sin(angles))
+        low, high = np.where(clear, middle, low), np.where(clear, high, middle)
+    return low
+
+
+@pytest.mark.parametrize("place", [CORNER, (0.3, -0.2), MIDDLE])
+def test_the_pupil_is_what_two_circles_share(place: Place) -> None:
+    angles = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+    away = radii(ELEMENT.onto(ROUND, place), angles)
+    x, y = away * np.cos(angles), away * np.sin(angles)
+    right, down = 0.02 + 0.5 * place[1], -0.03 + 0.5 * place[0]
+    outside = np.maximum(np.hypot(x, y) - 1, np.hypot(x - right, y - down) - 1.1)
+    np.testing.assert_allclose(outside, 0, atol=1e-9)
+
+
+def test_an_element_that_lies_outside_the_pupil_cuts_nothing() -> None:
+    blades = Rim((Diaphragm(7),))
+    assert ELEMENT.onto(blades, MIDDLE) is blades
+    assert ELEMENT.onto(blades, CORNER).area < 0.95
+
+
+def test_the_rim_over_the_frame_has_what_all_places_share() -> None:
+    blades = Rim((Diaphragm(7),))
+    over = FieldRim(blades, ELEMENT, (0.1, 0.0))
+    assert over.at(MIDDLE).cuts == blades.cuts
+    # cos 2t about the image height, whose direction is that of 0.8 right and 0.6 up
+    y, x = CORNER
+    expected = 0.1 * (x * x - y * y), 0.1 * 2 * x * y, 0.0, 0.0
+    assert over.at(CORNER).uneven == pytest.approx(expected)
+    assert over.at(CORNER).cuts[0] == blades.cuts[0]
+
+
+def test_a_wavefront_of_the_field_has_the_rim_of_its_place() -> None:
+    model = replace(a_field(), rim=FieldRim(vignetting=ELEMENT))
+    rows, columns = model.frame.shape_px
+    corner = model.wavefront("G", (0, columns - 1)).rim
+    y, x = model.frame.relative((0, columns - 1))
+    assert corner == ELEMENT.onto(ROUND, (float(y), float(x)))
+    assert model.wavefront("G", ((rows - 1) / 2, (columns - 1) / 2)).rim.is_round
+
+
+def test_only_tiles_are_tested_for_a_rim_over_the_frame() -> None:
+    assert "uneven_field" not in OPTICS.lacking
+    assert "uneven_field" in replace(OPTICS, place=CORNER).lacking
+    tile = replace(OPTICS, place=CORNER).with_parts({"uneven_field"})
+    assert tile.parts == (UnevenField(place=CORNER),)
+    # a lens has one of them
+    assert "uneven_rim" not in tile.lacking
+
+
+def test_a_cut_begins_with_circles_on_both_sides_that_an_uneven_field_is_like() -> None:
+    """The harmonics of a pupil that a circle cuts, seen from a corner, lead back to the circle; steps are 0.1 and 0.1."""
+    true = Vignetted(0.4, growth=1.1 - CLEAR_SIZE, place=CORNER)
+    angles = np.linspace(0, 2 * np.pi, 720, endpoint=False)
+    rim = true.onto(ROUND)
+    about = np.array(rim.centre)
+    away = radii(rim, angles)
+    x, y = away * np.cos(angles) - about[0], away * np.sin(angles) - about[1]
+    outline = np.interp(angles, np.arctan2(y, x), np.hypot(x, y), period=2 * np.pi)
+    turn = angles - np.arctan2(*CORNER)
+    second, third = (float(2 * np.cos(k * turn) @ outline / outline.sum()) for k in (2, 3))
+    uneven = UnevenField(second, third, CORNER)
+    first, other = Vignetted(place=CORNER).starts([uneven])
+    assert first.along == pytest.approx(0.4, abs=0.1)
+    assert first.growth == pytest.approx(true.growth, abs=0.1)
+    assert other.along < 0
+    # a tile in the middle shows nothing of it
+    assert Vignetted(place=MIDDLE).starts([replace(uneven, place=MIDDLE)]) == (
+        Vignetted(place=MIDDLE),
+    )
+
+
+def test_tiles_begin_with_the_circle_of_another_tile() -> None:
+    found = Vignetted(0.5, 0.01, 0.02, -0.4, CORNER)
+    (begun,) = Vignetted(place=(0.1, 0.2)).starts([found])
+    assert begun == replace(found, place=(0.1, 0.2))
+
+
+def test_numbers_stay_where_the_circle_holds_the_pupils_middle() -> None:
+    wild = Vignetted(place=CORNER).at((9.0, 3.0, 0.0, -5.0))
+    assert wild.at_bound
+    assert wild.along <= MOST_ALONG
+    circle = wild.vignetting.circle(CORNER)
+    assert circle.shift <= MOST_SHIFT * circle.size * (1 + 1e-12)
+    assert not Vignetted(0.5, growth=-0.4, place=CORNER).at_bound
