@@ -128,6 +128,13 @@ class Selection:
         """
         return _open_signs(self._choices, self.choice, self.members, self.objective)
 
+    @cached_property
+    def turned(self) -> LensFit | None:
+        """The lens with the other sign of all members, if the ranges leave it open; it predicts all others otherwise."""
+        other = np.where(self.members, self.choice ^ 1, self.choice)
+        lens, value = self._choices.fit(other, self.members)
+        return lens if value > self.objective - SETTINGS.clear_gain else None
+
     @property
     def outliers(self) -> list[Key]:
         """Keys of fitted observations that do not belong to the session."""

@@ -244,11 +244,12 @@ class _Loop:
 
         If modes differ from range to range, every fit is tried with the modes of the others, and the likelihood decides.
         If the model is incomplete for all, modes differ for that reason, and no member is refitted.
+        Outliers are refitted from the predictions of both signs if the members leave their sign open.
         """
         lens = selection.lens
         if not lens.model.laws.shared:
             lens = fit_lens(replace(lens.model, laws=Laws()), lens.measured)
-        predicted, _ = lens.predictions
+        lenses = [lens, *filter(None, [selection.turned])]
         doubted = dict[int, Guesses]()
         poor = poor_model(selection.observed)
         anyone = not poor and any(
@@ -258,17 +259,18 @@ class _Loop:
             if k not in self.found or selection.choice[row] == OUT:
                 continue
             candidate = selection.candidate(row)
-            waves = predicted[row, : len(self._noll)]
+            inside = bool(selection.members[row])
+            ways = [one.predictions[0][row, : len(self._noll)] for one in lenses]
+            waves = ways[0]
             away = float(np.linalg.norm(candidate.measured.waves - waves))
             far = away > SETTINGS.other_optimum_waves
-            doubtful = not selection.members[row] or (anyone and not candidate.explained)
+            doubtful = not inside or (anyone and not candidate.explained)
             doubtful = doubtful or not (selection.lens.model.laws.shared or poor)
             if not (far and doubtful):
                 continue
-            if self._new(k, waves):
-                doubted[k] = self._guess(
-                    starts=(waves,), poses=known_poses(self.observations, self.found, k)
-                )
+            if new := [one for one in ways[: 1 if inside else 2] if self._new(k, one)]:
+                poses = known_poses(self.observations, self.found, k)
+                doubted[k] = self._guess(starts=tuple(new), poses=poses)
             elif (k, self.parts) not in self.expanded:
                 state = replace(self.chosen(k).state, waves=waves)
                 doubted[k] = replace(self._guess(), state=state, held=True)

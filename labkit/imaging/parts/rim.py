@@ -85,7 +85,8 @@ class Blades(Part):
         if self.idle:
             return rim
         turn = math.atan2(self.sine, self.cosine) / self.number
-        blades = Diaphragm(self.number, turn, 1 - math.hypot(self.cosine, self.sine))
+        straight = min(math.hypot(self.cosine, self.sine), 1.0)
+        blades = Diaphragm(self.number, turn, 1 - straight)
         return replace(rim, cuts=(*rim.cuts, blades))
 
     def stated(self, plan: Plan, channel: Channel) -> tuple[Self, bool] | None:
