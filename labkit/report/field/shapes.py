@@ -147,7 +147,7 @@ def _scale(figure: Figure, axes: Axes, longest_waves: float, mm_per_wave: float)
 def pupils_chart(model: FieldModel) -> Figure:
     """Draw the clear part of the pupil as seen from places over the frame; y down as on the sensor."""
     grid = Grid.middles(model.frame, PUPILS_ACROSS)
-    figure, axes = frame_axes(model.frame, HALF_IN, title="pupil", below_in=0.2)
+    figure, axes = frame_axes(model.frame, HALF_IN, title="pupil")
     for at, (y, x) in zip(grid.each_px, grid.each_mm, strict=True):
         rim = model.rim_at(at)
         mm = PUPIL_SHARE * grid.step_mm / model.rim.middle.outer
