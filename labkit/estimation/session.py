@@ -244,7 +244,8 @@ class _Loop:
 
         If modes differ from range to range, every fit is tried with the modes of the others, and the likelihood decides.
         If the model is incomplete for all, modes differ for that reason, and no member is refitted.
-        Outliers are refitted from the predictions of both signs if the members leave their sign open.
+        Outliers are refitted from the predictions of both signs if the members leave their sign open, and at least once from a
+        prediction: their wavefront may be alike, and their pupil not.
         """
         lens = selection.lens
         if not lens.model.laws.shared:
@@ -263,7 +264,8 @@ class _Loop:
             ways = [one.predictions[0][row, : len(self._noll)] for one in lenses]
             waves = ways[0]
             away = float(np.linalg.norm(candidate.measured.waves - waves))
-            far = away > SETTINGS.other_optimum_waves
+            untried = not inside and not self.starts.get(k)
+            far = untried or away > SETTINGS.other_optimum_waves
             doubtful = not inside or (anyone and not candidate.explained)
             doubtful = doubtful or not (selection.lens.model.laws.shared or poor)
             if not (far and doubtful):

@@ -12,7 +12,7 @@ from labkit.imaging.panel_aperture import Aperture
 from labkit.imaging.parts import KNOWN
 from labkit.optics.field_rim import Place
 from labkit.optics.lens import USUAL_LOG_MAGNIFICATION, Convention, ThinLens
-from labkit.optics.spectrum import Spectrum
+from labkit.optics.spectrum import ONE_WAVELENGTH, Spectrum
 from labkit.plan import Channel, Plan
 from labkit.uncertain import Uncertain
 
@@ -69,9 +69,8 @@ class Stated:
 def optics_of(plan: Plan, channel: str, place: Place | None = None) -> Optics:
     """Return light, sensor and lens of a plan's channel, with the nominal f-number; place: of a tile in the frame."""
     light = next(c for c in plan.channel if c.name == channel)
-    stated = [
-        found for part in KNOWN.values() if (found := part.stated(plan, light)) is not None
-    ]
+    known = (part.about(ONE_WAVELENGTH, place) for part in KNOWN.values())
+    stated = [found for part in known if (found := part.stated(plan, light)) is not None]
     return Optics(
         wavelength_nm=light.wavelength_nm,
         reference_nm=plan.reference_wavelength_nm,

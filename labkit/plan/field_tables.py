@@ -22,6 +22,7 @@ from labkit.plan.table import Table
 MOST_FIELD_ORDER = 8
 """The largest radial order of the field's polynomials: 45 of them."""
 
+CATS_EYE_WORDS = "[shift, radius]: a shift from -1.4 to 1.4 and a radius from 1 to 5"
 TILES_WORDS = "[rows, columns], each from 1 to 1000"
 SCREWS_WORDS = "three or four places [x, y] in mm, not all on one line"
 
@@ -29,6 +30,8 @@ LEAST_SPREAD = 0.02
 """Extent of the screws across the line nearest to all of them, over their extent along it."""
 
 Tiles = Annotated[Count, AfterValidator(Allowed(1, 1000, whole=True))]
+Shift = Annotated[Number, AfterValidator(Allowed(-1.4, 1.4))]
+Radius = Annotated[Number, AfterValidator(Allowed(1, 5))]
 
 
 class FieldSettings(Table):
@@ -44,6 +47,10 @@ class FieldSettings(Table):
     ) = None
     """Highest radial order of the polynomials in the place on the frame: 1 for tilt and decentre alone, 2 with curvature.
     Default: as high as the photographs show."""
+
+    cats_eye: Annotated[tuple[Shift, Radius] | None, Takes(CATS_EYE_WORDS)] = None
+    """Circle that cuts the pupil to a cat's eye away from the middle of the frame, where it is known: its shift in the
+    corners, along the image height, and its radius, over the pupil's radius. Default: `labkit fit` looks for it."""
 
     @property
     def cuts(self) -> bool:

@@ -7,13 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from labkit.estimation.stated import optics_of
 from labkit.imaging.parts import UnevenField, Vignetted
 from labkit.imaging.parts.field_rim import CLEAR_SIZE, MOST_ALONG
 from labkit.imaging.parts.rim import MOST_SHIFT
 from labkit.optics.field_rim import FieldRim, Place, Vignetting
 from labkit.optics.rim import ROUND, Diaphragm, Rim
+from labkit.plan import Plan
 from labkit.types import Floats
 from tests.field_samples import a_field
+from tests.plans import PORTRAIT
 from tests.unit.test_cone import OPTICS
 
 CORNER: Place = (-0.6, 0.8)
@@ -74,6 +77,15 @@ def test_only_tiles_are_tested_for_a_rim_over_the_frame() -> None:
     assert tile.parts == (UnevenField(place=CORNER),)
     # a lens has one of them
     assert "uneven_rim" not in tile.lacking
+
+
+def test_a_plan_may_state_the_circle() -> None:
+    plan = Plan.from_tables({**PORTRAIT, "field": {"cats_eye": [0.5, 1.1]}})
+    (given,) = optics_of(plan, "G", CORNER).given
+    assert given == Vignetted(0.5, growth=pytest.approx(1.1 - CLEAR_SIZE), place=CORNER)
+    assert optics_of(plan, "G", CORNER).rim.area < 0.9
+    # a frame without tiles is a place in the middle
+    assert optics_of(plan, "G").rim.is_round
 
 
 def test_a_cut_begins_with_circles_on_both_sides_that_an_uneven_field_is_like() -> None:

@@ -106,8 +106,9 @@ class UnevenField(Part):
 CLEAR_SIZE = 1.5
 """Radius of a circle that cuts nothing off, where a tile that shows nothing of it leaves it."""
 
-LEAST_SIZE, MOST_ALONG = 0.5, 1.4
-"""Bounds of the circle's radius and of its shift in the corners."""
+LEAST_SIZE, MOST_ALONG = 1.0, 1.4
+"""Bounds of the circle's radius and of its shift in the corners. A smaller circle would limit the pupil in the frame's middle:
+then it is the full pupil, and the other circle cuts it, for two circles share the same light whichever is called so."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,6 +187,7 @@ class Vignetted(Part):
         uneven = next((part for part in before if isinstance(part, UnevenField)), None)
         y, x = self.place or FRAME_MIDDLE
         height = math.hypot(y, x)
+        uneven = uneven and replace(uneven, place=self.place)
         if uneven is None or not height:
             return (self,)
         outwards = math.atan2(y, x)
@@ -199,14 +201,17 @@ class Vignetted(Part):
                     one.size - CLEAR_SIZE,
                 ]
             )
-            for one in circles_like(uneven.about(Spectrum(), self.place).harmonics, sides)
+            for one in circles_like(uneven.harmonics, sides, LEAST_SIZE)
         )
 
     def onto(self, rim: Rim) -> Rim:
         return self.vignetting.onto(rim, self.place or FRAME_MIDDLE)
 
     def stated(self, plan: Plan, channel: Channel) -> tuple[Self, bool] | None:
-        return None
+        if plan.field.cats_eye is None:
+            return None
+        along, radius = plan.field.cats_eye
+        return replace(self, along=along, growth=radius - CLEAR_SIZE), False
 
     def quantities(
         self, numbers: Sequence[Uncertain], channel: Channel | None = None

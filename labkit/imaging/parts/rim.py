@@ -373,15 +373,17 @@ class CatsEye(Part):
         )
 
 
-def circles_like(uneven: Sequence[float], directions: Floats) -> tuple[Circle, Circle]:
+def circles_like(
+    uneven: Sequence[float], directions: Floats, least_size: float = 0.0
+) -> tuple[Circle, Circle]:
     """Return the circle whose cut outline has second and third harmonics (4,) like these, and one on the opposite side.
 
-    directions: of their shifts, with opposite ones among them
+    directions: of their shifts, with opposite ones among them; least_size: radius
     """
     circles = [
         Circle(float(s), float(r), float(t))
         for s, r, t in product(SHIFTS, SIZES, directions)
-        if r - 1 < s < r
+        if r - 1 < s < r and r >= least_size
     ]
     away = [float(np.linalg.norm(_harmonics(one) - uneven)) for one in circles]
     first, *ordered = (circles[k] for k in np.argsort(away))
