@@ -11,6 +11,8 @@ from labkit.errors import DataError, RawError, SessionError
 from labkit.estimation.stated import optics_of
 from labkit.imaging.optics import Optics
 from labkit.imaging.parts import KNOWN, Part
+from labkit.optics.field_rim import Place
+from labkit.optics.spectrum import ONE_WAVELENGTH
 from labkit.photographs.container import recognise
 from labkit.plan import Plan
 from labkit.results import Results, Wavefront
@@ -88,9 +90,10 @@ def camera_of(results: Results) -> str:
 
 def optics_behind(results: Results, plan: Plan, wavefront: Wavefront) -> Optics:
     """Return the optics of a plan's photographs: a session's wavefront and camera, the plan's sensor."""
-    channel = wavefront.channel
-    optics = optics_of(plan, channel)
-    given = {part.name: part for part in (*optics.given, *_found(results.model_parts))}
+    place = _tile_place(results, wavefront)
+    optics = optics_of(plan, wavefront.channel, place)
+    found = _found(results.model_parts, place)
+    given = {part.name: part for part in (*optics.given, *found)}
     return replace(
         optics,
         f_number=wavefront.f_number
@@ -105,9 +108,16 @@ def optics_behind(results: Results, plan: Plan, wavefront: Wavefront) -> Optics:
     )
 
 
-def _found(quantities: Mapping[str, Uncertain]) -> list[Part]:
-    """Return the parts of the camera from the quantities in results."""
+def _tile_place(results: Results, wavefront: Wavefront) -> Place | None:
+    """Return the place of a wavefront's tile in the frame; None without tiles."""
+    if results.field is None or wavefront.placement is None:
+        return None
+    y, x = results.field.frame.relative(wavefront.placement.centre_px)
+    return float(y), float(x)
+
+
+def _found(quantities: Mapping[str, Uncertain], place: Place | None) -> list[Part]:
+    """Return the parts of the camera at a place of the frame from the quantities in results."""
     known = [part for part in KNOWN.values() if not part.per_channel]
-    return [
-        found for part in known if (found := part.from_quantities(quantities)) is not None
-    ]
+    found = [part.from_quantities(quantities) for part in known]
+    return [part.about(ONE_WAVELENGTH, place) for part in found if part is not None]

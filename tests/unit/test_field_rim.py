@@ -7,20 +7,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from labkit.analysis.measured_camera import optics_behind
 from labkit.estimation.stated import optics_of
 from labkit.imaging.parts import UnevenField, Vignetted
 from labkit.imaging.parts.field_rim import CLEAR_SIZE, MOST_ALONG
 from labkit.imaging.parts.rim import MOST_SHIFT
+from labkit.optics.field import FieldFrame
 from labkit.optics.field_rim import FieldRim, Place, Vignetting
 from labkit.optics.rim import ROUND, Diaphragm, Rim
 from labkit.plan import Plan
+from labkit.results.model import Placement
 from labkit.types import Floats
+from labkit.uncertain import Uncertain
 from tests.field_samples import a_field
 from tests.plans import PORTRAIT
+from tests.results_samples import PLAN, a_wavefront, some_results
 from tests.unit.test_cone import OPTICS
 
 CORNER: Place = (-0.6, 0.8)
 MIDDLE: Place = (0.0, 0.0)
+SQUARE = np.array([[0.0, 0], [0, 12], [12, 12], [12, 0]])
 ELEMENT = Vignetting(0.5, 0.02, -0.03, 1.1)
 
 
@@ -123,3 +129,21 @@ def test_numbers_stay_where_the_circle_holds_the_pupils_middle() -> None:
     circle = wild.vignetting.circle(CORNER)
     assert circle.shift <= MOST_SHIFT * circle.size * (1 + 1e-12)
     assert not Vignetted(0.5, growth=-0.4, place=CORNER).at_bound
+
+
+def test_a_camera_measured_by_tiles_has_the_rim_of_the_tiles_place() -> None:
+    part = Vignetted(0.5, growth=1.1 - CLEAR_SIZE)
+    found = part.quantities([Uncertain(value, 0.01) for value in part.values])
+    corner, middle = (
+        a_wavefront(
+            tile=(0, k),
+            placement=Placement((at, at), (24, 24), (at + 6 + SQUARE)[np.newaxis]),
+        )
+        for k, at in enumerate((0, 244))
+    )
+    frame = FieldFrame((512, 512), PLAN.sensor.pixel_pitch_um)
+    results = some_results(
+        wavefronts=(corner, middle), field=a_field(frame=frame), model_parts=found
+    )
+    assert optics_behind(results, PLAN, corner).rim.area < 0.85
+    assert optics_behind(results, PLAN, middle).rim.is_round
