@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -47,7 +48,8 @@ class StrongSearch:
 
         Returns
         -------
-        parts and modes in the new model, and the new optima by observation; None if they gain less than they cost
+        parts and modes in the new model, and the new optima by observation; None if they gain less than they cost, or if
+        neither residuals nor another station confirm any of them: then something else is missing than modes
         """
         best = {k: one.best for k, one in found.items()}
         if not _unexplained(list(best.values())) or (
@@ -78,7 +80,7 @@ class StrongSearch:
             for k in best
             if k in reached
         )
-        if gain <= cost(choice) - cost(parts):
+        if gain <= cost(choice) - cost(parts) or not _confirmed(reached):
             return None
         return choice, reached
 
@@ -178,6 +180,13 @@ def _agree(optima: list[Optimum], within_waves: float) -> bool:
         < within_waves
         for other in others
     )
+
+
+def _confirmed(reached: Mapping[int, Found]) -> bool:
+    """Return whether an optimum is explained, or two agree."""
+    optima = [one.best for one in reached.values()]
+    agree = any(_agree([*two], SETTINGS.sure_waves) for two in combinations(optima, 2))
+    return agree or any(one.verdict.accepted for one in optima)
 
 
 def _height(found: Mapping[int, Found]) -> float:
