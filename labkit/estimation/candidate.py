@@ -154,3 +154,10 @@ class Observed:
         """Return candidate k for a choice 2 k, its twin for 2 k + 1."""
         place, twin = divmod(choice, 2)
         return self.candidates[place].twin() if twin else self.candidates[place]
+
+
+def poor_model(observed: Iterable[Observed]) -> bool:
+    """Return whether the model is incomplete for all: the residuals of most observations are not noise alone."""
+    return mostly_unexplained(
+        any(c.explained for c in one.candidates) for one in observed if one.candidates
+    )

@@ -88,6 +88,13 @@ class Optimum:
         twin = self.twin()
         return min(self, twin, key=lambda one: np.linalg.norm(one.waves - other.waves))
 
+    def moved_to(self, later: Optimum) -> bool:
+        """Return whether a later fit of the same modes ended at another optimum."""
+        if self.noll != later.noll:
+            return False
+        away = np.linalg.norm(self.nearest_to(later).waves - later.waves)
+        return bool(away > SETTINGS.other_optimum_waves)
+
     def twin(self) -> Optimum:
         """Reverse the even modes: the twin makes the same pictures (thesis §3.6)."""
         signs = twin_signs(self.noll)

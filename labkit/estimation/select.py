@@ -19,7 +19,7 @@ from labkit.estimation.candidate import (
     Measured,
     Observed,
     Reading,
-    mostly_unexplained,
+    poor_model,
 )
 from labkit.estimation.laws import Laws
 from labkit.estimation.lens_fit import (
@@ -254,13 +254,6 @@ class _Choices:
         promise[~self.options.fitted] = 0.0
         same = np.where(members, wanted == choice, wanted == OUT)
         return wanted, np.where(same, 0.0, promise)
-
-
-def poor_model(observed: Sequence[Observed]) -> bool:
-    """Return whether the model is incomplete for all: the residuals of most observations are not noise alone."""
-    return mostly_unexplained(
-        any(c.explained for c in one.candidates) for one in observed if one.candidates
-    )
 
 
 def select(

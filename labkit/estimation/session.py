@@ -9,6 +9,7 @@ import numpy as np
 
 from labkit.errors import FitError
 from labkit.estimation.camera import CameraChoice, Parts
+from labkit.estimation.candidate import poor_model
 from labkit.estimation.estimate import Estimate, LocalFit, is_ranged, observed
 from labkit.estimation.first_fits import (
     anchors,
@@ -27,7 +28,7 @@ from labkit.estimation.local import Found, Guesses, Optimum
 from labkit.estimation.observation import Observation
 from labkit.estimation.refits import Refits, with_tests
 from labkit.estimation.searches import Searches
-from labkit.estimation.select import OUT, Selection, lens_of, poor_model, select
+from labkit.estimation.select import OUT, Selection, lens_of, select
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import Stated, nominal_f_number, optics_of, wanted_parts
 from labkit.estimation.strong import StrongSearch
@@ -250,7 +251,7 @@ class _Loop:
         lens = selection.lens
         if not lens.model.laws.shared:
             lens = fit_lens(replace(lens.model, laws=Laws()), lens.measured)
-        lenses = [lens, *filter(None, [selection.turned])]
+        predicted, _ = lens.predictions
         doubted = dict[int, Guesses]()
         poor = poor_model(selection.observed)
         anyone = not poor and any(
@@ -261,8 +262,7 @@ class _Loop:
                 continue
             candidate = selection.candidate(row)
             inside = bool(selection.members[row])
-            ways = [one.predictions[0][row, : len(self._noll)] for one in lenses]
-            waves = ways[0]
+            waves = predicted[row, : len(self._noll)]
             away = float(np.linalg.norm(candidate.measured.waves - waves))
             untried = not inside and not self.starts.get(k)
             far = untried or away > SETTINGS.other_optimum_waves
@@ -270,7 +270,10 @@ class _Loop:
             doubtful = doubtful or not (selection.lens.model.laws.shared or poor)
             if not (far and doubtful):
                 continue
-            if new := [one for one in ways[: 1 if inside else 2] if self._new(k, one)]:
+            ways = [waves]
+            if not inside and selection.turned is not None:
+                ways.append(selection.turned.predictions[0][row, : len(self._noll)])
+            if new := [one for one in ways if self._new(k, one)]:
                 poses = known_poses(self.observations, self.found, k)
                 doubted[k] = self._guess(starts=tuple(new), poses=poses)
             elif (k, self.parts) not in self.expanded:
@@ -480,19 +483,14 @@ class _Loop:
         outliers = tuple(
             i for i in contribute if i not in members and selection.choice[rows[i]] != OUT
         )
-        refitted = tuple(i for i in members if self._mended(places[i]))
+        first = [self.first.get(k) for k in places]
+        refitted = tuple(
+            i for i in members if (f := first[i]) and f.moved_to(fits[i].optimum)
+        )
         signed = tuple(i for i in members if not selection.open_signs[rows[i]])
         return Estimate(
             fits, selection.lens, members, outliers, refitted, signed, lost=lost
         )
-
-    def _mended(self, k: int) -> bool:
-        """Return whether observation k has another optimum than its first fit found."""
-        chosen, first = self.chosen(k), self.first.get(k)
-        if first is None or first.noll != chosen.noll:
-            return False
-        away = np.linalg.norm(first.nearest_to(chosen).waves - chosen.waves)
-        return bool(away > SETTINGS.other_optimum_waves)
 
 
 def _same(found: Mapping[int, Found], other: Mapping[int, Found]) -> bool:

@@ -89,3 +89,29 @@ def test_ends_of_a_common_search_are_fitted_until_the_ranges_agree(
     assert play.labels[1 : 1 + len(climbed)] == climbed
     assert play.labels[1 + len(climbed)] not in AT_ONCE
     assert any(task.guesses.deep for batch in play.batches for task in batch)
+
+
+@pytest.mark.parametrize(
+    ("scatter", "alone"), [(0.0, False), (STRONG, True)], ids=["agree", "do not"]
+)
+def test_ends_that_gain_and_confirm_nothing_are_no_answer(
+    scatter: float, alone: bool
+) -> None:
+    """None is explained. Where no two agree, something else is missing than modes, and the first stations are searched on."""
+
+    def gaining(task: Task) -> Found:
+        begun, at_end = task.guesses.starts, range_of(task) > 3100.0
+        off = float(begun[0][1] - ASTIGMATISM) if begun else STRONG * at_end
+        height = -100.0 if begun else -500.0
+        end = optimum(
+            task.optics, range_of(task), off=(0.0, off), height=height, explained=False
+        )
+        return Found((end,))
+
+    def together(task: TogetherTask) -> Ends:
+        end = (np.array([at, k * scatter]) for k, at in enumerate(task.defocus))
+        return (tuple(end),)
+
+    play = Play(gaining, together=together)
+    played(play)
+    assert any(task.guesses.deep for batch in play.batches for task in batch) == alone
