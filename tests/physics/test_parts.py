@@ -194,7 +194,7 @@ def test_a_spectrum_of_another_width_keeps_its_form_and_mean() -> None:
 
 
 def test_a_typical_spectrum_grows_and_shrinks_about_its_own_width() -> None:
-    part = SpectrumWidth().about(LIT)
+    part = SpectrumWidth().about(LIT, None)
     assert part.light == LIT
     (slopes,) = part.light_slopes()
     nodes, weights = np.array([*slopes]), np.array([*slopes.values()])
@@ -213,7 +213,10 @@ def test_a_typical_spectrum_grows_and_shrinks_about_its_own_width() -> None:
 
 def test_slopes_by_a_typical_light_are_differences_of_pictures() -> None:
     torus, waves = Torus((96, 96), (8, 8), (80, 80), 5, 5.0, 0.45), np.array([0.2, -0.1])
-    pupil, part = Pupil(0.55, 0.45, 5.0, 5.0 / 5, 96, (4, 7)), SpectrumWidth().about(LIT)
+    pupil, part = (
+        Pupil(0.55, 0.45, 5.0, 5.0 / 5, 96, (4, 7)),
+        SpectrumWidth().about(LIT, None),
+    )
     blur = Blur(torus, pupil, 5.0, LIT, parts=(part,))
     slope, step = next(blur.by_parts(waves)), 0.05 * LIT.variance
     up, down = (
