@@ -10,8 +10,7 @@ import numpy as np
 
 from labkit.findings import Finding, found
 from labkit.optics.field import FieldFrame
-from labkit.optics.field_rim import FieldRim, Vignetting
-from labkit.optics.rim import Circle, Diaphragm, Rim
+from labkit.optics.rim import Circle, Diaphragm, FieldRim, Rim, Vignetting
 from labkit.optics.spectrum import Spectrum
 from labkit.plan import Plan
 from labkit.results import (

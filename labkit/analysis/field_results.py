@@ -21,8 +21,8 @@ from labkit.estimation.lens_fit import LensFit
 from labkit.estimation.lens_model import LensModel
 from labkit.imaging.parts import UnevenField, Vignetted, rim_of
 from labkit.optics.field import FieldFrame, FieldModel, field_terms
-from labkit.optics.field_rim import FieldRim
 from labkit.optics.lens import defocus_waves
+from labkit.optics.rim import FieldRim
 from labkit.optics.wavefront import DEFOCUS
 from labkit.plan import Plan
 from labkit.types import Floats

@@ -11,7 +11,7 @@ from labkit.errors import DataError, RawError, SessionError
 from labkit.estimation.stated import optics_of
 from labkit.imaging.optics import Optics
 from labkit.imaging.parts import KNOWN, Part
-from labkit.optics.field_rim import Place
+from labkit.optics.rim import Place
 from labkit.optics.spectrum import ONE_WAVELENGTH
 from labkit.photographs.container import recognise
 from labkit.plan import Plan

@@ -10,8 +10,8 @@ import numpy as np
 from labkit.imaging.optics import Optics
 from labkit.imaging.panel_aperture import Aperture
 from labkit.imaging.parts import KNOWN
-from labkit.optics.field_rim import Place
 from labkit.optics.lens import USUAL_LOG_MAGNIFICATION, Convention, ThinLens
+from labkit.optics.rim import Place
 from labkit.optics.spectrum import ONE_WAVELENGTH, Spectrum
 from labkit.plan import Channel, Plan
 from labkit.uncertain import Uncertain

@@ -15,9 +15,8 @@ from labkit.imaging.panel_aperture import Aperture
 from labkit.imaging.parts import KNOWN, Part, SpectrumWidth, rim_of
 from labkit.imaging.window import window_for
 from labkit.mode_groups import MODE_GROUPS
-from labkit.optics.field_rim import Place
 from labkit.optics.psf import Pupil
-from labkit.optics.rim import Rim
+from labkit.optics.rim import Place, Rim
 from labkit.optics.spectrum import Spectrum
 from labkit.types import Floats
 

@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from labkit.arrays import real_array
-from labkit.optics.field_rim import ROUND_EVERYWHERE, FieldRim
 from labkit.optics.lens import blur_per_wave_um
-from labkit.optics.rim import Rim
+from labkit.optics.rim import ROUND_EVERYWHERE, FieldRim, Rim
 from labkit.optics.wavefront import DEFOCUS, FittedWavefront
 from labkit.optics.zernike import modes_at
 from labkit.plan import leading_channel

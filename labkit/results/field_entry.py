@@ -9,8 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from labkit.optics.field import FieldFrame, FieldModel
-from labkit.optics.field_rim import ROUND_EVERYWHERE, FieldRim, Vignetting
-from labkit.optics.rim import ROUND
+from labkit.optics.rim import ROUND, ROUND_EVERYWHERE, FieldRim, Vignetting
 from labkit.results.entries import KeptRim
 from labkit.results.geometry import Distortion, ImageGeometry, LateralColour
 from labkit.results.kept import (

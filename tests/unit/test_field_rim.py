@@ -13,8 +13,7 @@ from labkit.imaging.parts import UnevenField, Vignetted
 from labkit.imaging.parts.field_rim import CLEAR_SIZE, MOST_ALONG
 from labkit.imaging.parts.rim import MOST_SHIFT
 from labkit.optics.field import FieldFrame
-from labkit.optics.field_rim import FieldRim, Place, Vignetting
-from labkit.optics.rim import ROUND, Diaphragm, Rim
+from labkit.optics.rim import ROUND, Diaphragm, FieldRim, Place, Rim, Vignetting
 from labkit.plan import Plan
 from labkit.results.model import Placement
 from labkit.types import Floats

@@ -21,8 +21,7 @@ from labkit.imaging.parts.rim import (
     UnevenRim,
     circles_like,
 )
-from labkit.optics.field_rim import FRAME_MIDDLE, Place, Vignetting, harmonics
-from labkit.optics.rim import Rim
+from labkit.optics.rim import FRAME_MIDDLE, Place, Rim, Vignetting, harmonics
 from labkit.optics.spectrum import Spectrum
 from labkit.plan import Channel, Plan
 from labkit.uncertain import Uncertain
@@ -113,7 +112,7 @@ then it is the full pupil, and the other circle cuts it, for two circles share t
 
 @dataclass(frozen=True, slots=True)
 class Vignetted(Part):
-    """A circle that cuts the pupil off the middle of the frame, as of `labkit.optics.field_rim.Vignetting`.
+    """A circle that cuts the pupil off the middle of the frame, as of `labkit.optics.rim.Vignetting`.
 
     growth: its radius less `CLEAR_SIZE`. Where the circle lies outside the pupil the photographs do not depend on it. So fits
     test for an `UnevenField` and estimate this part in its place.

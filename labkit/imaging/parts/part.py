@@ -12,8 +12,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from labkit.imaging.estimated import Estimated
-from labkit.optics.field_rim import Place
-from labkit.optics.rim import ROUND, Rim
+from labkit.optics.rim import ROUND, Place, Rim
 from labkit.optics.spectrum import Spectrum
 from labkit.plan import Channel, Plan
 from labkit.types import AnyFloats

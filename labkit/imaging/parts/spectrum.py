@@ -9,7 +9,7 @@ from typing import ClassVar, Self
 
 from labkit.imaging.estimated import root
 from labkit.imaging.parts.part import Part, finite
-from labkit.optics.field_rim import Place
+from labkit.optics.rim import Place
 from labkit.optics.spectrum import ONE_WAVELENGTH, WIDEST_SPECTRUM, Spectrum
 from labkit.plan import Channel, Plan
 from labkit.uncertain import Uncertain

@@ -27,7 +27,7 @@ from labkit.field.tiles import covered, sign_is_open
 from labkit.field.turned import planned_screws
 from labkit.figure_style import HALF_IN, Ink
 from labkit.optics.field import FieldModel
-from labkit.optics.field_rim import ROUND_EVERYWHERE
+from labkit.optics.rim import ROUND_EVERYWHERE
 from labkit.plan import leading_channel
 from labkit.report.charts import quantile_chart
 from labkit.report.field.cards import field_cards
