@@ -2,7 +2,7 @@
 
 `python -m benchmarks.field_sessions FOLDER [--grid 3 4] [--ranges 1180 1206 1232 1258] [--tile-px 144 --order 3]` writes the
 photographs, frames.csv and plan.toml for `labkit import`, and truth.json beside them. By default the session is like
-`golden/field-open`: 35 mm f/4, 2 × 3 tiles of 256 pixels.
+`golden/field-open`: 35 mm f/4, 2 × 3 tiles of 256 pixels. `--cats-eye PER_MM RADIUS` cuts the pupil away from the middle.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import csv
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -227,13 +227,16 @@ def main() -> None:
     parser.add_argument("--ranges", type=float, nargs="+", default=RANGES_MM)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--patch-px", type=float, default=0.0)
+    parser.add_argument("--cats-eye", type=float, nargs=2, metavar=("PER_MM", "RADIUS"))
     parser.add_argument("--tile-px", type=int, default=TILE_PX)
     parser.add_argument("--order", type=int, default=ORDER)
     asked = parser.parse_args()
     rows, cols = asked.grid
+    eye = asked.cats_eye and (asked.cats_eye[0], asked.cats_eye[1])
     session = field_session(
         (rows, cols),
         tuple(asked.ranges),
+        replace(LENS, field_terms=replace(MISALIGNED, cats_eye_per_mm=eye)),
         seed=asked.seed,
         tile_px=asked.tile_px,
         patch_px=asked.patch_px,
