@@ -19,7 +19,6 @@ HALF_IN = WIDTH_IN / 2
 THIRD_IN = WIDTH_IN / 3
 DPI = 200
 INK, SOFT_INK, FAINT = "#1c1e21", "#6b7075", "#d5d8db"
-CLEAR = "#e9e3cf"  # where a pupil lets light through
 SOLID = "-"
 DASHED = (0, (4, 2))
 DOTTED = (0, (1, 1.5))

@@ -15,7 +15,6 @@ from matplotlib.ticker import LogLocator, NullLocator
 from scipy import special
 
 from labkit.figure_style import (
-    CLEAR,
     DASHED,
     DOTTED,
     FAINT,
@@ -399,16 +398,20 @@ def _frame(axes: Axes, curves: Sequence[Curves]) -> None:
 
 
 DRAWN_ARCS = 360  # of the outline as it is drawn
+CLEAR = "#e9e3cf"
+
+
+def clear_part(edges: Sequence[Floats], width: float) -> PathPatch:
+    """Return the area within a pupil's edges (points, 2) as drawn, with a line of a width, points."""
+    outlines = [Path(np.concatenate([e, e[:1]]), closed=True) for e in edges]
+    return PathPatch(Path.make_compound_path(*outlines), fc=CLEAR, ec=INK, lw=width)
 
 
 def pupil_chart(rim: Rim) -> Figure:
     """The clear part of the pupil, dashed the circle of the f-number, and around it the full pupil; y down as on the sensor."""
     figure = Figure(figsize=(THIRD_IN, THIRD_IN))
     axes = figure.add_axes((0.03, 0.03, 0.94, 0.94))
-    outlines = [
-        Path(np.concatenate([e, e[:1]]), closed=True) for e in rim.edges(DRAWN_ARCS)
-    ]
-    axes.add_patch(PathPatch(Path.make_compound_path(*outlines), fc=CLEAR, ec=INK, lw=1.0))
+    axes.add_patch(clear_part(rim.edges(DRAWN_ARCS), 1.0))
     axes.add_patch(Circle((0, 0), 1.0, fill=False, ec=INK, lw=0.8, ls=(0, (4, 3))))
     axes.add_patch(Circle((0, 0), rim.outer, fill=False, ec=SOFT_INK, lw=0.6))
     side = 1.08 * max(rim.longest, rim.outer, 1.0)

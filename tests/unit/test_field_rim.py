@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.patches import Circle
 
 from labkit.analysis.measured_camera import optics_behind
 from labkit.estimation.stated import optics_of
@@ -15,6 +16,7 @@ from labkit.imaging.parts.rim import MOST_SHIFT
 from labkit.optics.field import FieldFrame
 from labkit.optics.rim import ROUND, Diaphragm, FieldRim, Place, Rim, Vignetting
 from labkit.plan import Plan
+from labkit.report.field.shapes import pupils_chart
 from labkit.results.model import Placement
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
@@ -146,3 +148,16 @@ def test_a_camera_measured_by_tiles_has_the_rim_of_the_tiles_place() -> None:
     )
     assert optics_behind(results, PLAN, corner).rim.area < 0.85
     assert optics_behind(results, PLAN, middle).rim.is_round
+
+
+def test_pupils_are_drawn_cut_in_the_corners_and_whole_in_the_middle() -> None:
+    model = replace(a_field(), rim=FieldRim(vignetting=ELEMENT))
+    (axes,) = pupils_chart(model).axes
+    widths = []
+    for clear, full in zip(axes.patches[::2], axes.patches[1::2], strict=True):
+        assert isinstance(full, Circle)
+        outline = np.asarray(clear.get_path().vertices)
+        widths.append(float(np.ptp(outline[:, 0])) / (2 * full.get_radius()))
+    assert len(widths) > 20
+    assert widths[0] < 0.95
+    assert widths[len(widths) // 2] == pytest.approx(1, abs=1e-3)

@@ -18,7 +18,7 @@ from labkit.imaging.parts.rim import (
     AT_BOUND,
     MOST_SHIFT,
     MOST_UNEVENNESS,
-    UnevenRim,
+    Uneven,
     circles_like,
 )
 from labkit.optics.rim import FRAME_MIDDLE, Place, Rim, Vignetting, harmonics
@@ -28,7 +28,7 @@ from labkit.uncertain import Uncertain
 
 
 @dataclass(frozen=True, slots=True)
-class UnevenField(Part):
+class UnevenField(Uneven):
     """Harmonics of the rim's radius along the image height, relative: second grows with its square, third with its cube.
 
     second, third: in the frame's corners. No other numbers of these orders are those of a rotationally symmetric lens.
@@ -47,9 +47,6 @@ class UnevenField(Part):
         "second": "second harmonic of its radius in the frame's corners, relative",
         "third": "third harmonic",
     }
-    of_rim: ClassVar[bool] = True
-    kind: ClassVar[str] = UnevenRim.kind
-    one_sided: ClassVar[bool] = False
 
     @property
     def sought(self) -> bool:  # type: ignore[override]
@@ -83,23 +80,6 @@ class UnevenField(Part):
 
     def onto(self, rim: Rim) -> Rim:
         return replace(rim, uneven=self.harmonics)
-
-    def stated(self, plan: Plan, channel: Channel) -> tuple[Self, bool] | None:
-        return None
-
-    def quantities(
-        self, numbers: Sequence[Uncertain], channel: Channel | None = None
-    ) -> dict[str, Uncertain]:
-        return {
-            f"{self.name}.{label}": number
-            for label, number in zip(self.labels, numbers, strict=True)
-        }
-
-    def from_quantities(
-        self, found: Mapping[str, Uncertain], channel: Channel | None = None
-    ) -> Self | None:
-        values = finite(found, *(f"{self.name}.{label}" for label in self.labels))
-        return None if values is None else self.at(values)
 
 
 CLEAR_SIZE = 1.5
@@ -137,7 +117,7 @@ class Vignetted(Part):
     }
     of_rim: ClassVar[bool] = True
     one_sided: ClassVar[bool] = False
-    kind: ClassVar[str] = UnevenRim.kind
+    kind: ClassVar[str] = Uneven.kind
     sought: ClassVar[bool] = False  # type: ignore[misc]
 
     @property

@@ -183,8 +183,35 @@ MOST_UNEVENNESS = 0.8
 """Largest departure of the rim; at 1 it would no longer be a closed curve."""
 
 
+class Uneven(Part):
+    """Harmonics of the rim's radius: no plan states them, and results have them as they are."""
+
+    __slots__ = ()
+
+    of_rim: ClassVar[bool] = True
+    kind: ClassVar[str] = "uneven rim"
+    one_sided: ClassVar[bool] = False
+
+    def stated(self, plan: Plan, channel: Channel) -> tuple[Self, bool] | None:
+        return None
+
+    def quantities(
+        self, numbers: Sequence[Uncertain], channel: Channel | None = None
+    ) -> dict[str, Uncertain]:
+        return {
+            f"{self.name}.{label}": number
+            for label, number in zip(self.labels, numbers, strict=True)
+        }
+
+    def from_quantities(
+        self, found: Mapping[str, Uncertain], channel: Channel | None = None
+    ) -> Self | None:
+        values = finite(found, *(f"{self.name}.{label}" for label in self.labels))
+        return None if values is None else self.at(values)
+
+
 @dataclass(frozen=True, slots=True)
-class UnevenRim(Part):
+class UnevenRim(Uneven):
     """The second and third harmonics of the rim's radius, relative, as of `labkit.optics.rim.Rim`."""
 
     cosine_2: float = 0.0
@@ -203,9 +230,6 @@ class UnevenRim(Part):
         "cosine_3": "cos 3t",
         "sine_3": "sin 3t",
     }
-    of_rim: ClassVar[bool] = True
-    kind: ClassVar[str] = "uneven rim"
-    one_sided: ClassVar[bool] = False
 
     @property
     def twin_signs(self) -> tuple[float, ...]:
@@ -233,23 +257,6 @@ class UnevenRim(Part):
 
     def onto(self, rim: Rim) -> Rim:
         return replace(rim, uneven=self.values)
-
-    def stated(self, plan: Plan, channel: Channel) -> tuple[Self, bool] | None:
-        return None
-
-    def quantities(
-        self, numbers: Sequence[Uncertain], channel: Channel | None = None
-    ) -> dict[str, Uncertain]:
-        return {
-            f"{self.name}.{label}": number
-            for label, number in zip(self.labels, numbers, strict=True)
-        }
-
-    def from_quantities(
-        self, found: Mapping[str, Uncertain], channel: Channel | None = None
-    ) -> Self | None:
-        values = finite(found, *(f"{self.name}.{label}" for label in self.labels))
-        return None if values is None else self.at(values)
 
 
 LEAST_GROWTH = -0.9
@@ -290,7 +297,7 @@ class CatsEye(Part):
     }
     of_rim: ClassVar[bool] = True
     one_sided: ClassVar[bool] = False
-    kind: ClassVar[str] = UnevenRim.kind
+    kind: ClassVar[str] = Uneven.kind
     sought: ClassVar[bool] = False  # type: ignore[misc]
 
     @property

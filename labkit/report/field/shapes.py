@@ -12,13 +12,13 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle, PathPatch
-from matplotlib.path import Path
+from matplotlib.patches import Circle
 
 from labkit.field.surfaces import focus_um
-from labkit.figure_style import CLEAR, HALF_IN, INK, SOFT_INK, Ink, round_length
+from labkit.figure_style import HALF_IN, INK, SOFT_INK, Ink, round_length
 from labkit.optics.field import FieldModel
 from labkit.optics.metrics import psf_value
+from labkit.report.charts import clear_part
 from labkit.report.field.maps import frame_axes
 from labkit.report.field.sampled import Grid
 from labkit.report.pictures import LEAST_PER_AIRY
@@ -152,12 +152,8 @@ def pupils_chart(model: FieldModel) -> Figure:
         rim = model.rim_at(at)
         mm = PUPIL_SHARE * grid.step_mm / model.rim.middle.outer
         edges = [mm * edge + (x, y) for edge in rim.edges(PUPIL_ARCS)]
-        closed = [Path(np.concatenate([e, e[:1]]), closed=True) for e in edges]
-        axes.add_patch(
-            PathPatch(Path.make_compound_path(*closed), fc=CLEAR, ec=INK, lw=0.8)
-        )
-        full = Circle((x, y), mm * rim.outer, fill=False, ec=SOFT_INK, lw=0.6)
-        axes.add_patch(full)
+        axes.add_patch(clear_part(edges, 0.8))
+        axes.add_patch(Circle((x, y), mm * rim.outer, fill=False, ec=SOFT_INK, lw=0.6))
     return figure
 
 
