@@ -72,8 +72,12 @@ def on_dask(address: str) -> Iterator[Executed]:
 
 
 def _silence() -> None:
-    """Silence distributed's loggers, some of which have levels of their own: labkit reports their faults in one line."""
-    for name in ("distributed", "distributed.client"):
+    """Silence the loggers of distributed and of its futures: labkit reports their faults in one line.
+
+    Some have levels of their own, so each is named. A future that is cancelled after its
+    scheduler was lost logs a traceback.
+    """
+    for name in ("distributed", "distributed.client", "concurrent.futures"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
 
 

@@ -241,6 +241,10 @@ class Executed:
             return self._executor.submit(_run_parcel, parcel)
         except self._killed as error:
             raise WorkersError(f"the executor takes no more tasks: {error}") from error
+        except Exception:
+            if self._watch is not None:
+                self._watch()  # what is lost says so better than the executor does
+            raise
 
     def _ended(
         self, future: Future[list[Result | Lost]], count: int

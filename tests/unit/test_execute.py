@@ -13,6 +13,7 @@ from math import factorial
 from multiprocessing import active_children, get_context
 from multiprocessing.process import BaseProcess
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 
@@ -232,6 +233,24 @@ def test_an_executor_that_is_broken_is_named() -> None:
         pytest.raises(WorkersError, match=r"takes no more tasks: .*terminated abruptly"),
     ):
         list(Executed(executor, 1)(kill_at, [1, 2, 3]))
+
+
+class Closed(ThreadPoolExecutor):
+    """Takes no tasks, as the client of a cluster that was lost a moment ago."""
+
+    def submit(self, *_: object, **__: object) -> NoReturn:
+        raise ValueError("Client is closed")
+
+
+def test_what_is_lost_is_named_where_an_executor_takes_no_task() -> None:
+    def watch() -> None:
+        raise WorkersError("the scheduler is gone")
+
+    with Closed(1) as executor:
+        with pytest.raises(WorkersError, match=r"^the scheduler is gone$"):
+            list(Executed(executor, 1, watch)(factorial, [1]))
+        with pytest.raises(ValueError, match=r"^Client is closed$"):
+            list(Executed(executor, 1)(factorial, [1]))
 
 
 def test_a_worker_of_other_versions_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
