@@ -101,7 +101,8 @@ MEANINGS = {
     "wavefronts[].model.residual_spectrum.cycles_per_px": "Spatial frequency, cycles per pixel of the raw file.",
     "wavefronts[].model.residual_spectrum.power": "Power over the noise's: 1 where noise alone is left.",
     "wavefronts[].model.residual_spectrum.power_without_parts": (
-        "The same without the parts of the camera that were found; null where none were."
+        "The same without the parts of the camera that were found; null where none were, "
+        "or where the fits that show them best are not explained without them."
     ),
     "wavefronts[].seconds": "Time that the fit took.",
     "wavefronts[].frames": "Photographs that it is of.",

@@ -301,7 +301,7 @@ class CameraChoice:
                 added = choice - present.parts
                 if choice in refused or {kind(name) for name in added} & kinds:
                     continue
-                telling = _telling(present.ends, choice ^ present.parts)
+                telling = most_telling(present.ends, choice ^ present.parts)
                 trial = Fitted(choice, self.refit(telling, choice))
                 gain = trial.net_gain(present)
                 if gain <= 0:
@@ -373,7 +373,7 @@ class CameraChoice:
         """Propose a choice with another number of blades, by scores of fits with its other parts."""
         had = {name for name in choice - self.wanted if kind(name) == Blades.kind}
         rest = choice - had
-        telling = _telling(present.ends, rest ^ present.parts)
+        telling = most_telling(present.ends, rest ^ present.parts)
         tests = self._tests(Fitted(rest, self.refit(telling, rest)))
         gains = {name: tests[name].gain for name in tests if kind(name) == Blades.kind}
         best = max(gains, key=lambda name: gains[name], default=None)
@@ -396,7 +396,7 @@ class CameraChoice:
         return None
 
 
-def _telling(ends: Mapping[int, Optimum], names: Parts) -> list[int]:
+def most_telling(ends: Mapping[int, Optimum], names: Parts) -> list[int]:
     """Return the observations with the most significant score tests, or estimates, of some parts."""
     leading = [name for name in names if name not in MODE_GROUPS]
     leading += [name for name in MODE_GROUPS if name in names][-1:]

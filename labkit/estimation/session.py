@@ -28,9 +28,10 @@ from labkit.estimation.local import Found, Guesses, Optimum
 from labkit.estimation.observation import Observation
 from labkit.estimation.refits import Refits, with_tests
 from labkit.estimation.searches import Searches
-from labkit.estimation.select import OUT, Selection, lens_of, select
+from labkit.estimation.select import OUT, Selection, select
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import Stated, nominal_f_number, optics_of, wanted_parts
+from labkit.estimation.stated_camera import StatedCamera
 from labkit.estimation.strong import StrongSearch
 from labkit.execute import Run
 from labkit.imaging.optics import Optics
@@ -343,7 +344,7 @@ class _Loop:
         """Search several stations at once, with all modes, if the anchors' optima contradict each other."""
         if self.deep or self._parts_chosen_by:
             return
-        stronger = StrongSearch(self.search, self.plan)(self.found, self.parts)
+        stronger = StrongSearch(self.search, self.refits, self.plan)(self.found, self.parts)
         if stronger is not None:
             self.parts, self.found = stronger
             self.anchors, self.deep = list(self.found), True
@@ -409,7 +410,7 @@ class _Loop:
     # the end
 
     def ended(self, plain: bool) -> Estimate:
-        """Return the estimate. Without adopted parts the session is refitted, for comparison or, if `plain`, as the result."""
+        """Return the estimate, and the session without adopted parts: for comparison or, if `plain`, as the result."""
         if not self.found:
             left_out = "; ".join(self.search.left_out)
             raise FitError(f"no wavefront could be fitted: {left_out}")
@@ -417,14 +418,16 @@ class _Loop:
         self.search.conclude(self._to_come())
         if not self._camera_parts:
             return self._asked(whole, self.camera.missing, self.camera.with_missing)
-        bare = self._with_stated_camera(whole)
+        ends = {k: self.chosen(k) for k in sorted(self.found)}
+        stated = StatedCamera(self.refits, ends, self.parts, self._camera_parts)
+        if not plain and not stated.explains():
+            return self._asked(whole, (), {})
+        self.search.later = self._to_come(bare=False)
+        bare = stated.session(whole)
         if not plain:
             return replace(self._asked(whole, (), {}), stated_camera=bare)
         missing = (*self.camera.missing, *sorted(self._camera_parts))
-        full = {
-            k: fit.optimum for k, fit in zip(sorted(self.found), whole.fits, strict=True)
-        }
-        return self._asked(bare, missing, full, adopted=False)
+        return self._asked(bare, missing, ends, adopted=False)
 
     def _asked(
         self,
@@ -446,27 +449,6 @@ class _Loop:
             missing=missing,
             with_missing=with_missing if missing else (),
         )
-
-    def _with_stated_camera(self, whole: Estimate) -> Estimate:
-        """Return the session with the plan's camera, every fit climbed from its optimum with all parts."""
-        places = sorted(self.found)
-        self.search.later = self._to_come(bare=False)
-        bare = self.refits(
-            {k: self.chosen(k) for k in places},
-            self.parts,
-            self.parts - self._camera_parts,
-            score=False,
-        )
-        fits = tuple(
-            replace(fit, optimum=bare.get(k, fit.optimum).nearest_to(fit.optimum))
-            for k, fit in zip(places, whole.fits, strict=True)
-        )
-        if (lens := whole.lens) is not None:
-            measured = {
-                whole.row(i): fits[i].optimum.candidate.measured for i in whole.members
-            }
-            lens = lens_of(measured, lens)
-        return replace(whole, fits=fits, lens=lens)
 
     def _as_estimate(self) -> Estimate:
         selection = self.selection()

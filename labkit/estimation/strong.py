@@ -11,12 +11,13 @@ import numpy as np
 from labkit.errors import LostTasksError
 from labkit.estimation.camera import Parts, cost
 from labkit.estimation.local import Found, Guesses, Optimum
-from labkit.estimation.refits import with_tests
+from labkit.estimation.refits import Refits, with_tests
 from labkit.estimation.searches import Searches
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import nominal_f_number, optics_of
 from labkit.estimation.together import TogetherTask, search_together
 from labkit.imaging.optics import Optics
+from labkit.imaging.parts import KNOWN
 from labkit.optics.lens import ThinLens, defocus_waves
 from labkit.optics.wavefront import DEFOCUS
 from labkit.plan import Plan
@@ -30,16 +31,21 @@ class StrongSearch:
     Attributes
     ----------
     search : runs searches
+    refits : refits their optima with further modes
     plan : the session's plan
     """
 
     search: Searches
+    refits: Refits
     plan: Plan
 
     def __call__(
         self, found: Mapping[int, Found], parts: Parts
     ) -> tuple[Parts, dict[int, Found]] | None:
         """Search anew if the optima of two stations are not explained and contradict each other.
+
+        Many modes nearly explain what an obstruction does, at wrong optima. So the search is made with each such part before it
+        is made with all modes; what the part does not explain may then be modes.
 
         Parameters
         ----------
@@ -56,24 +62,17 @@ class StrongSearch:
             _agree(list(best.values()), SETTINGS.contrary_waves) and self._in_step(best)
         ):
             return None
-        choice = parts | set(self.plan.fit.mode_groups)
-        stations = self._stations(found)
-        optics, f_number_std = self._optics(stations, choice)
-        reached = dict[int, Found]()
-        for waves in self._together(stations, optics):
-            starts = dict(zip(stations, waves, strict=True))
-            # far from focus a right wavefront is clearly the likelier one
-            far = max(starts, key=lambda k: abs(starts[k][0]))
-            ends = self._searched({far: starts.pop(far)}, optics, f_number_std)
-            if reached and _height(ends) <= _height({far: reached[far]}):
-                continue
-            ends |= self._searched(starts, optics, f_number_std)
-            if _height(ends) > _height(reached):
-                reached = ends
-            optima = [one.best for one in reached.values()]
-            if all(one.verdict.accepted for one in optima) or _agree(
-                optima, SETTINGS.sure_waves
-            ):
+        modes = parts | set(self.plan.fit.mode_groups)
+        lacking = best[min(best)].optics.lacking
+        begun = [parts | {name} for name in lacking if KNOWN[name].far]
+        choice, reached = parts, dict[int, Found]()
+        for way in [*begun, modes]:
+            ends, whole = self._ends(self._stations(found), way), way | modes
+            if whole != way:
+                ends = self._refitted(ends, way, whole)
+            if _height(ends) - cost(whole) > _height(reached) - cost(choice):
+                choice, reached = whole, ends
+            if reached and all(one.best.verdict.accepted for one in reached.values()):
                 break
         gain = sum(
             reached[k].best.log_likelihood - best[k].log_likelihood
@@ -83,6 +82,37 @@ class StrongSearch:
         if gain <= cost(choice) - cost(parts) or not _confirmed(reached):
             return None
         return choice, reached
+
+    def _ends(self, stations: list[int], choice: Parts) -> dict[int, Found]:
+        """Return the optima of stations with a choice of parts and modes, from nothing."""
+        optics, f_number_std = self._optics(stations, choice)
+        reached = dict[int, Found]()
+        for waves in self._together(stations, optics):
+            starts = dict(zip(stations, waves, strict=True))
+            # far from focus a right wavefront is clearly the likelier one
+            far = max(starts, key=lambda k: abs(starts[k][0]))
+            ends = self._searched({far: starts.pop(far)}, optics, f_number_std)
+            if reached and _height(ends) <= _height({far: reached[far]}):
+                continue
+            there = ends[far].best.optics
+            known = optics.with_named(there.camera_labels, there.camera_parameters)
+            ends |= self._searched(starts, known, SETTINGS.shared_f_number_std)
+            if _height(ends) > _height(reached):
+                reached = ends
+            optima = [one.best for one in reached.values()]
+            if all(one.verdict.accepted for one in optima) or _agree(
+                optima, SETTINGS.sure_waves
+            ):
+                break
+        return reached
+
+    def _refitted(
+        self, ends: Mapping[int, Found], parts: Parts, choice: Parts
+    ) -> dict[int, Found]:
+        """Return the optima of stations refitted with a choice of parts and modes."""
+        optima = {k: one.best for k, one in ends.items()}
+        again = self.refits(optima, parts, choice)
+        return {k: replace(ends[k], optima=(one,)) for k, one in again.items()}
 
     def _stations(self, found: Mapping[int, Found]) -> list[int]:
         """Return observations of the searched channel: the nearest, the farthest, and those evenly between."""

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from labkit.estimation.local import Found
+from labkit.estimation.residuals import Verdict
 from labkit.estimation.searches import Task
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.together import TogetherTask
+from labkit.imaging.parts.rim import USUAL_SHARE
 from tests.optimum_samples import (
     ASTIGMATISM,
+    PLAN,
     Ends,
     Play,
     optimum,
@@ -19,9 +24,17 @@ from tests.optimum_samples import (
     true_values,
 )
 
+CLEAR = PLAN.replace(lens={"obstruction": 0.0})
+"""Else a search with an obstruction comes first."""
+
 STRONG = 0.3
 """Waves RMS of astigmatism by which a first search is off at the far end."""
 
+
+STRENGTHS = {1: (STRONG,), 2: (ASTIGMATISM,)}
+"""Of ends of the first and of the second common search."""
+
+UNEXPLAINED = Verdict(0.0, False, 0.0, 0.0)
 
 AT_ONCE = [["G at 3200 mm"], ["G at 2900 mm", "G at 3100 mm"]]
 """Fits of one end of a common search: the range farthest from focus first."""
@@ -54,7 +67,7 @@ def ended(task: TogetherTask, *astigmatism: float) -> Ends:
 
 def test_ends_that_contradict_each_other_are_searched_with_a_range_between() -> None:
     play = Play(at_odds, together=lambda task: ended(task, ASTIGMATISM, 0.0))
-    session = played(play)
+    session = played(play, plan=CLEAR)
     (common,) = play.common
     # the range between is the third of four; defocus is relative to the nearest
     at = [true_values(r)[0] for r in (2900.0, 3100.0, 3200.0)]
@@ -84,7 +97,7 @@ def test_ends_of_a_common_search_are_fitted_until_the_ranges_agree(
         )
 
     play = Play(at_odds, together=wrong)
-    played(play)
+    played(play, plan=CLEAR)
     assert len(play.common) == 1
     assert play.labels[1 : 1 + len(climbed)] == climbed
     assert play.labels[1 + len(climbed)] not in AT_ONCE
@@ -113,5 +126,38 @@ def test_ends_that_gain_and_confirm_nothing_are_no_answer(
         return (tuple(end),)
 
     play = Play(gaining, together=together)
-    played(play)
+    played(play, plan=CLEAR)
     assert any(task.guesses.deep for batch in play.batches for task in batch) == alone
+
+
+SHARE = 0.2
+"""Of the pupil, obstructed."""
+
+
+def obstructed(task: Task) -> Found:
+    """Optima as `at_odds` without an obstruction, of which none is explained; with one, the right ones."""
+    if not any(part.name == "obstruction" for part in task.optics.parts):
+        (end,) = at_odds(task).optima
+        return Found((replace(end, verdict=UNEXPLAINED, log_likelihood=-300.0),))
+    return Found((optimum(task.optics, range_of(task), square=SHARE),))
+
+
+def test_an_obstruction_is_searched_for_before_all_modes() -> None:
+    """Its number is known at the range farthest from focus, where the others begin."""
+    play = Play(obstructed, together=lambda task: ended(task, ASTIGMATISM))
+    session = played(play)
+    (common,) = play.common
+    assert [part.name for part in common.optics.parts] == ["obstruction"]
+    assert play.labels[1:3] == AT_ONCE
+    far, others = play.batches[1], play.batches[2]
+    begun = [task.optics.parts[0].values for task in (*far, *others)]
+    assert begun == [(USUAL_SHARE,), (SHARE,), (SHARE,)]
+    for fit in session.fits:
+        assert fit.optimum.verdict.accepted
+        assert [part.values for part in fit.optimum.optics.parts] == [(SHARE,)]
+
+
+def test_all_modes_are_searched_for_where_an_obstruction_explains_nothing() -> None:
+    play = Play(at_odds, together=lambda task: ended(task, *STRENGTHS[len(play.common)]))
+    played(play)
+    assert [len(task.optics.parts) for task in play.common] == [1, 0]

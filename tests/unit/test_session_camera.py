@@ -25,14 +25,23 @@ def names(of: Task | LocalFit) -> list[str]:
 
 
 def session(
-    height: Callable[[Task], float], *, plan: Plan = PLAN, plain: bool = False
+    height: Callable[[Task], float],
+    *,
+    plan: Plan = PLAN,
+    plain: bool = False,
+    explained: Callable[[Task], bool] = lambda task: True,
 ) -> tuple[Estimate, Play]:
     """Fits at the two ends that call for a smear. height: log-likelihood of a task's optimum."""
 
     def ends(task: Task) -> Found:
         scores = {} if task.optics.parts else {"smear": SCORE_TEST}
         made = optimum(
-            task.optics, range_of(task), square=0.5, height=height(task), scores=scores
+            task.optics,
+            range_of(task),
+            square=0.5,
+            height=height(task),
+            explained=explained(task),
+            scores=scores,
         )
         return Found((made,))
 
@@ -61,6 +70,16 @@ def test_the_same_session_without_the_parts_that_were_found_is_told_too() -> Non
     assert [names(fit) for fit in found.stated_camera.fits] == [[], []]
     assert found.stated_camera.lens is not None
     assert found.stated_camera.lens.model.parts == ()
+
+
+def test_a_camera_that_explains_nothing_without_the_parts_is_not_told_of() -> None:
+    found, _ = session(by_smear, explained=lambda task: names(task) == ["smear"])
+    assert [names(fit) for fit in found.fits] == [["smear"]] * 2
+    assert found.stated_camera is None
+    plain, _ = session(
+        by_smear, plain=True, explained=lambda task: names(task) == ["smear"]
+    )
+    assert [names(fit) for fit in plain.fits] == [[], []]
 
 
 def test_a_plain_session_has_no_part_in_the_end_and_the_fits_with_it_beside_it() -> None:
