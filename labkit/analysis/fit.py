@@ -154,6 +154,8 @@ def fit(
             target,
             range_mm=ranges_mm,
             channel=channels,
+            # processes of this machine read the session's files; another's may not
+            run=mapped if run is None and workers > 1 else None,
             progress=steps.before,
         )
         assumed += _panel_findings(plan, target, observations)

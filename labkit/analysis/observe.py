@@ -6,6 +6,7 @@ from math import inf
 
 import numpy as np
 
+from labkit.analysis.locate import SURROUND_LEVELS, Corners, locate, locate_all
 from labkit.analysis.neighbours import only_own, with_neighbours
 from labkit.analysis.target_places import Places, of_one_place, places_in_frame
 from labkit.calibration.calibrate import (
@@ -22,32 +23,29 @@ from labkit.calibration.photon_transfer import (
     usual_gain,
     usual_read_variance,
 )
-from labkit.errors import DataError, TargetError
+from labkit.errors import DataError
 from labkit.estimation.climb import NoisePrior
 from labkit.estimation.likelihood import FrameData, low_orders
 from labkit.estimation.observation import Observation
-from labkit.finder.carpet_squares import central_square
+from labkit.execute import Run
 from labkit.finder.cut import (
     cut_around,
     cut_within,
     sees_target_only,
     surround_level,
 )
-from labkit.finder.find_target import find_target, grey_image
-from labkit.finder.lattice import find_tiles
 from labkit.finder.plausibility import Sight, refuse_contradictions
 from labkit.findings import Finding, at_range, each_once, found
 from labkit.imaging.brightness import Brightness
 from labkit.imaging.warp import Pose
 from labkit.key import Key, Tile, same_range
-from labkit.optics.lens import ThinLens, ground_sample_mm
 from labkit.panel.target_pixels import as_shown
 from labkit.photographs.decoding import read_photograph
 from labkit.photographs.photograph import Cut, Photograph
 from labkit.plan import FieldSettings, Plan
 from labkit.session.frame import Frame, distinct
 from labkit.session.session import Session
-from labkit.target import Target, open_target
+from labkit.target import Target
 from labkit.target_grid import open_grid
 from labkit.types import Bools, Floats, Progress, no_progress
 
@@ -59,14 +57,11 @@ LEAST_BRIGHT_SHARE = 0.5
 
 @dataclass(frozen=True)
 class _Shot:
-    """A decoded photograph of the target, with the corners (4, 2) in pixels of every tile that was found.
-
-    A whole target has one tile, the place in the frame or None.
-    """
+    """A decoded photograph of the target, with the corners of every tile that was found."""
 
     frame: Frame
     mosaic: Photograph
-    corners_px: Mapping[Tile | None, Floats]
+    corners_px: Corners
 
 
 @dataclass(frozen=True)
@@ -85,12 +80,13 @@ def observe(
     *,
     range_mm: float | Sequence[float] | None = None,
     channel: str | Sequence[str] | None = None,
+    run: Run | None = None,
     progress: Progress = no_progress,
 ) -> tuple[list[Observation], list[Finding]]:
     """Prepare observations of a session.
 
     Photographs of one range and one place are in memory at a time. A single target is searched for in all photographs before,
-    where a range has several: it may be at several places of the frame.
+    where a range has several: it may be at several places of the frame. With `run` every target is.
 
     Parameters
     ----------
@@ -98,6 +94,7 @@ def observe(
     plan : lens, sensor and channels: the session's plan or another one
     target : the target of the plan
     range_mm, channel : one, several, or None for all
+    run : maps the searches for the target over processes of this machine; None to search in this process
     progress : called with the step under way
 
     Returns
@@ -121,13 +118,18 @@ def observe(
     calibration = calibrate(photographs, plan)
     grid = open_grid(plan.target)
     clear_mm = None if grid is None else grid.clear_mm
-    places, at_places = _places(groups, plan, target, progress)
+    known = dict[str, Corners]()
+    if run is not None:
+        every = [frame for group in groups for frame in group]
+        known = locate_all(every, plan, target, run, progress)
+    places, at_places = _places(groups, plan, target, known, progress)
+    known |= places
     observations: list[Observation] = []
     findings = [*again, *calibration.findings, *at_places]
     together = [one for group in groups for one in of_one_place(group, places)]
     for done, group in enumerate(together):
         progress(done, len(together), "finding the target")
-        shots = [_shot(frame, plan, target, places.get(frame.file)) for frame in group]
+        shots = [_shot(frame, plan, target, known.get(frame.file)) for frame in group]
         regions, left_out = _regions(shots, plan)
         findings += left_out
         order = min(map(frames.index, group))
@@ -147,10 +149,6 @@ def observe(
     refuse_contradictions(sights, plan, target.size_mm)
     findings += _surround_findings(plan, observations)
     return observations, each_once(findings)
-
-
-SURROUND_LEVELS = {"black": 0.0, "white": 1.0}
-"""How light a surround is, by the plan's name of it."""
 
 
 def _surround_findings(plan: Plan, observations: Sequence[Observation]) -> list[Finding]:
@@ -271,87 +269,31 @@ def _cut_up(
 
 
 def _places(
-    groups: Collection[Sequence[Frame]], plan: Plan, target: Target, progress: Progress
+    groups: Collection[Sequence[Frame]],
+    plan: Plan,
+    target: Target,
+    known: Mapping[str, Corners],
+    progress: Progress,
 ) -> tuple[Places, list[Finding]]:
     """Return the places of a single target in the frame; none for targets of which each photograph shows several tiles."""
     single = open_grid(plan.target) is None and not plan.field.cuts
     if not single or plan.target.corners_px is not None:
         return {}, []
 
-    def locate(frame: Frame) -> Floats:
-        (corners,) = _locate(frame, plan, target).corners_px.values()
+    def middle(frame: Frame) -> Floats:
+        at = known.get(frame.file) or _shot(frame, plan, target, None).corners_px
+        (corners,) = at.values()
         return corners
 
-    return places_in_frame(groups, locate, progress)
+    return places_in_frame(groups, middle, progress)
 
 
-def _shot(
-    frame: Frame, plan: Plan, target: Target, known: Mapping[Tile | None, Floats] | None
-) -> _Shot:
+def _shot(frame: Frame, plan: Plan, target: Target, known: Corners | None) -> _Shot:
     """Decode a photograph, and search for the target if its corners are not known."""
-    if known is None:
-        return _locate(frame, plan, target)
-    return _Shot(frame, read_photograph(frame.path, plan.sensor), known)
-
-
-def _locate(frame: Frame, plan: Plan, target: Target) -> _Shot:
     mosaic = read_photograph(frame.path, plan.sensor)
-    if plan.target.corners_px is not None:
-        return _Shot(frame, mosaic, {None: np.array(plan.target.corners_px, float)})
-    try:
-        grey = grey_image(mosaic.light, mosaic.pattern)
-        scale = _stated_scale(frame, plan)
-        if (grid := open_grid(plan.target)) is not None:
-            tiles = find_tiles(grey, grid, mm_per_pixel=scale).items()
-            return _Shot(frame, mosaic, dict(tiles))
-        return _Shot(frame, mosaic, {None: _found(grey, target, scale)})
-    except TargetError as error:
-        if other := _other_surround(mosaic, frame, plan):
-            raise TargetError(
-                f"{frame.file}: the target is found in it if its surround is {other}, but the plan has target.surround = "
-                f'"{plan.target.surround}": write "{other}"'
-            ) from error
-        raise TargetError(f"{frame.file}: {error}") from error
-
-
-def _other_surround(mosaic: Photograph, frame: Frame, plan: Plan) -> str | None:
-    """Return the surround with which the target is found, black or white, where the plan states the other."""
-    if plan.target.surround not in SURROUND_LEVELS:
-        return None
-    (other,) = SURROUND_LEVELS.keys() - {plan.target.surround}
-    target = open_target(plan.replace(target={"surround": other}).target)
-    try:
-        grey = grey_image(mosaic.light, mosaic.pattern)
-        _found(grey, target, _stated_scale(frame, plan))
-    except TargetError:
-        return None
-    return other
-
-
-def _stated_scale(frame: Frame, plan: Plan) -> float | None:
-    """Return the size of a pixel on the target, mm, by plan and range; None if not stated."""
-    if frame.range_mm is None or frame.range_mm <= plan.lens.focal_length_mm:
-        return None
-    lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
-    return float(ground_sample_mm(lens, frame.range_mm, plan.sensor.pixel_pitch_um))
-
-
-def _found(grey: Floats, target: Target, mm_per_pixel: float | None) -> Floats:
-    """Find the target's corners at the stated scale or at any scale; a wrong statement then shows in the target's size.
-
-    A carpet is searched for at any scale first, for a wrong scale would match a smaller carpet inside. Other targets are
-    found sooner at the right scale.
-    """
-    scales = (
-        [mm_per_pixel, None] if central_square(target) is None else [None, mm_per_pixel]
-    )
-    failures: list[TargetError] = []
-    for scale in dict.fromkeys(scales):
-        try:
-            return find_target(grey, target, mm_per_pixel=scale)
-        except TargetError as error:
-            failures.append(error)
-    raise failures[0]
+    if known is None:
+        known = locate(mosaic, frame, plan, target)
+    return _Shot(frame, mosaic, known)
 
 
 def _of_region(

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import replace
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 import pytest
@@ -16,6 +19,8 @@ from labkit.analysis.target_places import tiles_by_place
 from labkit.devices.protocols import ExposureSettings
 from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.camera import SimulatedCamera
+from labkit.errors import LostTasksError, TargetError
+from labkit.execute import Result, Task
 from labkit.session.import_frames import import_frames
 from labkit.session.session import Session
 from labkit.target import open_target
@@ -128,3 +133,49 @@ def test_a_carpet_that_is_moved_over_the_frame_gives_tiles(
         centre = np.mean(o.corners_px[0], axis=0)
         # a first guess, which the fit mends: measured 0.6 pixels at most
         assert centre == pytest.approx(truth[o.range_mm, o.tile], abs=1.2)
+
+
+@dataclass
+class OneByOne:
+    """Makes tasks in this process, the last first; the process of one task was killed."""
+
+    killed: int | None = None
+
+    def __call__(
+        self, function: Callable[[Task], Result], tasks: Sequence[Task]
+    ) -> Iterator[tuple[int, Result]]:
+        for index in reversed(range(len(tasks))):
+            if index != self.killed:
+                yield index, function(tasks[index])
+        if self.killed is not None:
+            raise LostTasksError([(tasks[self.killed], "killed")])
+
+
+@pytest.mark.parametrize("killed", [None, 1])
+def test_targets_that_other_processes_find_are_those_found_here(
+    moved: tuple[Session, Bench], killed: int | None
+) -> None:
+    session, _ = moved
+    target = open_target(session.plan.target)
+
+    def seen(run: OneByOne | None) -> list[Floats]:
+        found, _ = observe(session, session.plan, target, channel="G", run=run)
+        return [corners for o in found for corners in o.corners_px]
+
+    np.testing.assert_array_equal(seen(OneByOne(killed)), seen(None))
+
+
+def test_the_first_photograph_without_a_target_is_named_whichever_ends_first(
+    moved: tuple[Session, Bench], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session, _ = moved
+
+    def absent(*_: object, **__: object) -> NoReturn:
+        raise TargetError("no target")
+
+    monkeypatch.setattr("labkit.analysis.locate.find_target", absent)
+    first = next(frame.file for frame in session.frames if frame.kind == "target")
+    target = open_target(session.plan.target)
+    for run in (None, OneByOne()):
+        with pytest.raises(TargetError, match=f"^{re.escape(first)}: no target$"):
+            observe(session, session.plan, target, channel="G", run=run)

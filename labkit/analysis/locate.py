@@ -1,0 +1,149 @@
+"""Search for the target in photographs, in several processes where there are several photographs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+
+from labkit.errors import LostTasksError, TargetError
+from labkit.execute import Run
+from labkit.finder.carpet_squares import central_square
+from labkit.finder.find_target import find_target, grey_image
+from labkit.finder.lattice import find_tiles
+from labkit.key import Tile
+from labkit.optics.lens import ThinLens, ground_sample_mm
+from labkit.photographs.decoding import read_photograph
+from labkit.photographs.photograph import Photograph
+from labkit.plan import Plan
+from labkit.session.frame import Frame
+from labkit.sharing import Shared, share
+from labkit.target import Target, open_target
+from labkit.target_grid import open_grid
+from labkit.types import Floats, Progress
+
+Corners = Mapping[Tile | None, Floats]
+"""Corners (4, 2) in pixels of every tile that is found in a photograph. A whole target has one tile, its place or None."""
+
+SURROUND_LEVELS = {"black": 0.0, "white": 1.0}
+"""How light a surround is, by the plan's name of it."""
+
+
+@dataclass(frozen=True)
+class _Search:
+    """The search of one photograph as a task."""
+
+    frame: Frame
+    plan: Plan
+    target: Shared[Target]
+
+
+def locate_all(
+    frames: Sequence[Frame], plan: Plan, target: Target, run: Run, progress: Progress
+) -> dict[str, Corners]:
+    """Return the corners in each photograph by its file; none where the plan states them.
+
+    Photographs whose process was killed are left out: where memory is short, one at a time has room.
+
+    Parameters
+    ----------
+    frames : the photographs
+    plan : lens and sensor
+    target : the target of the plan
+    run : maps searches over processes that read the session's files
+    progress : called with the step under way
+
+    Raises
+    ------
+    TargetError : the first photograph that does not show the target
+    RawError : a photograph cannot be read
+    """
+    if plan.target.corners_px is not None:
+        return {}
+    shared = share(target)
+    ends = dict[int, Corners | TargetError]()
+    with suppress(LostTasksError):
+        for index, end in run(_searched, [_Search(f, plan, shared) for f in frames]):
+            ends[index] = end
+            progress(len(ends), len(frames), "finding the target")
+    corners = dict[str, Corners]()
+    for index, end in sorted(ends.items()):
+        if isinstance(end, TargetError):
+            raise end
+        corners[frames[index].file] = end
+    return corners
+
+
+def _searched(search: _Search) -> Corners | TargetError:
+    """Return the corners in a photograph, or the reason why there are none: which is the first is not known yet."""
+    photograph = read_photograph(search.frame.path, search.plan.sensor)
+    try:
+        return locate(photograph, search.frame, search.plan, search.target.value)
+    except TargetError as error:
+        return error
+
+
+def locate(photograph: Photograph, frame: Frame, plan: Plan, target: Target) -> Corners:
+    """Return the corners in a photograph: as the plan states them, or as they are found.
+
+    Raises
+    ------
+    TargetError : the photograph does not show the target
+    """
+    if plan.target.corners_px is not None:
+        return {None: np.array(plan.target.corners_px, float)}
+    try:
+        grey = grey_image(photograph.light, photograph.pattern)
+        scale = _stated_scale(frame, plan)
+        if (grid := open_grid(plan.target)) is not None:
+            return dict(find_tiles(grey, grid, mm_per_pixel=scale).items())
+        return {None: _found(grey, target, scale)}
+    except TargetError as error:
+        if other := _other_surround(photograph, frame, plan):
+            raise TargetError(
+                f"{frame.file}: the target is found in it if its surround is {other}, but the plan has target.surround = "
+                f'"{plan.target.surround}": write "{other}"'
+            ) from error
+        raise TargetError(f"{frame.file}: {error}") from error
+
+
+def _other_surround(photograph: Photograph, frame: Frame, plan: Plan) -> str | None:
+    """Return the surround with which the target is found, black or white, where the plan states the other."""
+    if plan.target.surround not in SURROUND_LEVELS:
+        return None
+    (other,) = SURROUND_LEVELS.keys() - {plan.target.surround}
+    target = open_target(plan.replace(target={"surround": other}).target)
+    try:
+        grey = grey_image(photograph.light, photograph.pattern)
+        _found(grey, target, _stated_scale(frame, plan))
+    except TargetError:
+        return None
+    return other
+
+
+def _stated_scale(frame: Frame, plan: Plan) -> float | None:
+    """Return the size of a pixel on the target, mm, by plan and range; None if not stated."""
+    if frame.range_mm is None or frame.range_mm <= plan.lens.focal_length_mm:
+        return None
+    lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
+    return float(ground_sample_mm(lens, frame.range_mm, plan.sensor.pixel_pitch_um))
+
+
+def _found(grey: Floats, target: Target, mm_per_pixel: float | None) -> Floats:
+    """Find the target's corners at the stated scale or at any scale; a wrong statement then shows in the target's size.
+
+    A carpet is searched for at any scale first, for a wrong scale would match a smaller carpet inside. Other targets are
+    found sooner at the right scale.
+    """
+    scales = (
+        [mm_per_pixel, None] if central_square(target) is None else [None, mm_per_pixel]
+    )
+    failures: list[TargetError] = []
+    for scale in dict.fromkeys(scales):
+        try:
+            return find_target(grey, target, mm_per_pixel=scale)
+        except TargetError as error:
+            failures.append(error)
+    raise failures[0]
