@@ -153,17 +153,29 @@ class Refits:
         """Return the likeliest optimum of an observation among fits that differ from a choice by few parts and modes.
 
         Fits that differ by one part, or by a part in place of another, are alike: the likelier one may have found an optimum
-        that others missed.
+        that others missed. Modes begin at zero, and lose nothing; a part whose start is far from zero does, so fits that have
+        it come first.
         """
         fitted = [(names, made[k]) for names, made in self.made.items() if k in made]
         fitted.append((parts, end))
-        away = [max(len(names - choice), len(choice - names)) for names, _ in fitted]
-        alike = [
-            optimum
-            for (_, optimum), distance in zip(fitted, away, strict=True)
-            if distance <= max(1, min(away))
-        ]
-        return max(alike, key=lambda optimum: optimum.log_likelihood)
+        least = max(1, min(_steps(names, choice) for names, _ in fitted))
+        alike = [one for one in fitted if _steps(one[0], choice) <= least]
+        _, optimum = max(
+            alike,
+            key=lambda one: (-len(_far(choice - one[0])), one[1].log_likelihood),
+        )
+        return optimum
+
+
+def _steps(before: Parts, choice: Parts) -> int:
+    """Return the number of parts by which two choices differ; one in place of another, and all modes, count once."""
+    apart = [(one - MODE_GROUPS.keys()) for one in (before - choice, choice - before)]
+    return max(map(len, apart)) + (not (before ^ choice) <= apart[0] | apart[1])
+
+
+def _far(parts: Parts) -> Parts:
+    """Return the parts whose start is far from zero."""
+    return Parts(name for name in parts if name in KNOWN and KNOWN[name].far)
 
 
 def _joint_plausibility(ends: Mapping[int, Optimum]) -> float:

@@ -21,6 +21,8 @@ NONE = frozenset[str]()
 SMEAR = frozenset({"smear"})
 UNEVEN = frozenset({"uneven_rim"})
 EYE = frozenset({"cats_eye"})
+OBSTRUCTED = frozenset({"obstruction"})
+HIGHER = frozenset({"modes_16_21", "modes_22_28"})
 
 
 @dataclass
@@ -62,6 +64,20 @@ def test_a_refit_without_a_part_begins_from_the_better_optimum_that_the_part_led
     _, guess = search.wanted[0]
     assert guess.state is not None
     np.testing.assert_allclose(guess.state.waves, better.state.waves)
+
+
+def test_modes_are_added_to_a_fit_with_the_obstruction_though_all_modes_explain_more() -> (
+    None
+):
+    """Modes begin at zero and lose nothing; an obstruction begins far from zero, below the likelihood that it is added to."""
+    obstructed, likelier = end_with(OBSTRUCTED, 0.0, -100.0), end_with(HIGHER, 0.1, 0.0)
+    search = Played({0: obstructed})
+    refits = Refits(cast(Searches, search), PLAN)
+    refits({0: obstructed}, NONE, OBSTRUCTED)
+    refits({0: likelier}, HIGHER, OBSTRUCTED | {"modes_16_21"})
+    _, guess = search.wanted[0]
+    assert guess.state is not None
+    np.testing.assert_allclose(guess.state.waves[:2], obstructed.state.waves)
 
 
 def test_a_cats_eye_begins_from_the_uneven_rim_in_whose_place_it_is_fitted() -> None:
