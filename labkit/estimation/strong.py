@@ -67,7 +67,10 @@ class StrongSearch:
         begun = [parts | {name} for name in lacking if KNOWN[name].far]
         choice, reached = parts, dict[int, Found]()
         for way in [*begun, modes]:
-            ends, whole = self._ends(self._stations(found), way), way | modes
+            least = {
+                k: one.log_likelihood + cost(way) - cost(parts) for k, one in best.items()
+            }
+            ends, whole = self._ends(self._stations(found), way, least), way | modes
             if whole != way:
                 ends = self._refitted(ends, way, whole)
             if _height(ends) - cost(whole) > _height(reached) - cost(choice):
@@ -83,8 +86,17 @@ class StrongSearch:
             return None
         return choice, reached
 
-    def _ends(self, stations: list[int], choice: Parts) -> dict[int, Found]:
-        """Return the optima of stations with a choice of parts and modes, from nothing."""
+    def _ends(
+        self, stations: list[int], choice: Parts, least: Mapping[int, float]
+    ) -> dict[int, Found]:
+        """Return the optima of stations with a choice of parts and modes, from nothing.
+
+        Parameters
+        ----------
+        stations : observations
+        choice : parts and modes
+        least : by observation, a log-likelihood that a right optimum exceeds
+        """
         optics, f_number_std = self._optics(stations, choice)
         reached = dict[int, Found]()
         for waves in self._together(stations, optics):
@@ -92,11 +104,12 @@ class StrongSearch:
             # far from focus a right wavefront is clearly the likelier one
             far = max(starts, key=lambda k: abs(starts[k][0]))
             ends = self._searched({far: starts.pop(far)}, optics, f_number_std)
-            if reached and _height(ends) <= _height({far: reached[far]}):
+            known = reached[far].best.log_likelihood if reached else least.get(far, -np.inf)
+            if _height(ends) <= known:
                 continue
             there = ends[far].best.optics
-            known = optics.with_named(there.camera_labels, there.camera_parameters)
-            ends |= self._searched(starts, known, SETTINGS.shared_f_number_std)
+            begun = optics.with_named(there.camera_labels, there.camera_parameters)
+            ends |= self._searched(starts, begun, SETTINGS.shared_f_number_std)
             if _height(ends) > _height(reached):
                 reached = ends
             optima = [one.best for one in reached.values()]
