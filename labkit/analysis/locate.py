@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -33,9 +34,11 @@ SURROUND_LEVELS = {"black": 0.0, "white": 1.0}
 
 @dataclass(frozen=True)
 class _Search:
-    """The search of one photograph as a task."""
+    """The search of one photograph as a task; attributes as of `Frame`, which does not travel."""
 
-    frame: Frame
+    file: str
+    path: Path
+    range_mm: float | None
     plan: Plan
     target: Shared[Target]
 
@@ -63,9 +66,10 @@ def locate_all(
     if plan.target.corners_px is not None:
         return {}
     shared = share(target)
+    tasks = [_Search(one.file, one.path, one.range_mm, plan, shared) for one in frames]
     ends = dict[int, Corners | TargetError]()
     with suppress(LostTasksError):
-        for index, end in run(_searched, [_Search(f, plan, shared) for f in frames]):
+        for index, end in run(_searched, tasks):
             ends[index] = end
             progress(len(ends), len(frames), "finding the target")
     corners = dict[str, Corners]()
@@ -78,15 +82,31 @@ def locate_all(
 
 def _searched(search: _Search) -> Corners | TargetError:
     """Return the corners in a photograph, or the reason why there are none: which is the first is not known yet."""
-    photograph = read_photograph(search.frame.path, search.plan.sensor)
+    photograph = read_photograph(search.path, search.plan.sensor)
     try:
-        return locate(photograph, search.frame, search.plan, search.target.value)
+        return locate(
+            photograph, search.file, search.range_mm, search.plan, search.target.value
+        )
     except TargetError as error:
         return error
 
 
-def locate(photograph: Photograph, frame: Frame, plan: Plan, target: Target) -> Corners:
+def locate(
+    photograph: Photograph,
+    file: str,
+    range_mm: float | None,
+    plan: Plan,
+    target: Target,
+) -> Corners:
     """Return the corners in a photograph: as the plan states them, or as they are found.
+
+    Parameters
+    ----------
+    photograph : decoded
+    file : its name, for messages
+    range_mm : of the target, None if unknown
+    plan : lens and sensor
+    target : the target of the plan
 
     Raises
     ------
@@ -96,20 +116,22 @@ def locate(photograph: Photograph, frame: Frame, plan: Plan, target: Target) -> 
         return {None: np.array(plan.target.corners_px, float)}
     try:
         grey = grey_image(photograph.light, photograph.pattern)
-        scale = _stated_scale(frame, plan)
+        scale = _stated_scale(range_mm, plan)
         if (grid := open_grid(plan.target)) is not None:
             return dict(find_tiles(grey, grid, mm_per_pixel=scale).items())
         return {None: _found(grey, target, scale)}
     except TargetError as error:
-        if other := _other_surround(photograph, frame, plan):
+        if other := _other_surround(photograph, range_mm, plan):
             raise TargetError(
-                f"{frame.file}: the target is found in it if its surround is {other}, but the plan has target.surround = "
+                f"{file}: the target is found in it if its surround is {other}, but the plan has target.surround = "
                 f'"{plan.target.surround}": write "{other}"'
             ) from error
-        raise TargetError(f"{frame.file}: {error}") from error
+        raise TargetError(f"{file}: {error}") from error
 
 
-def _other_surround(photograph: Photograph, frame: Frame, plan: Plan) -> str | None:
+def _other_surround(
+    photograph: Photograph, range_mm: float | None, plan: Plan
+) -> str | None:
     """Return the surround with which the target is found, black or white, where the plan states the other."""
     if plan.target.surround not in SURROUND_LEVELS:
         return None
@@ -117,18 +139,18 @@ def _other_surround(photograph: Photograph, frame: Frame, plan: Plan) -> str | N
     target = open_target(plan.replace(target={"surround": other}).target)
     try:
         grey = grey_image(photograph.light, photograph.pattern)
-        _found(grey, target, _stated_scale(frame, plan))
+        _found(grey, target, _stated_scale(range_mm, plan))
     except TargetError:
         return None
     return other
 
 
-def _stated_scale(frame: Frame, plan: Plan) -> float | None:
+def _stated_scale(range_mm: float | None, plan: Plan) -> float | None:
     """Return the size of a pixel on the target, mm, by plan and range; None if not stated."""
-    if frame.range_mm is None or frame.range_mm <= plan.lens.focal_length_mm:
+    if range_mm is None or range_mm <= plan.lens.focal_length_mm:
         return None
     lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
-    return float(ground_sample_mm(lens, frame.range_mm, plan.sensor.pixel_pitch_um))
+    return float(ground_sample_mm(lens, range_mm, plan.sensor.pixel_pitch_um))
 
 
 def _found(grey: Floats, target: Target, mm_per_pixel: float | None) -> Floats:

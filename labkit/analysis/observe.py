@@ -292,7 +292,7 @@ def _shot(frame: Frame, plan: Plan, target: Target, known: Corners | None) -> _S
     """Decode a photograph, and search for the target if its corners are not known."""
     mosaic = read_photograph(frame.path, plan.sensor)
     if known is None:
-        known = locate(mosaic, frame, plan, target)
+        known = locate(mosaic, frame.file, frame.range_mm, plan, target)
     return _Shot(frame, mosaic, known)
 
 

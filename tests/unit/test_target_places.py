@@ -23,6 +23,7 @@ from labkit.errors import LostTasksError, TargetError
 from labkit.execute import Result, Task
 from labkit.session.import_frames import import_frames
 from labkit.session.session import Session
+from labkit.sharing import pack, unpacked
 from labkit.target import open_target
 from labkit.types import Floats
 
@@ -137,13 +138,14 @@ def test_a_carpet_that_is_moved_over_the_frame_gives_tiles(
 
 @dataclass
 class OneByOne:
-    """Makes tasks in this process, the last first; the process of one task was killed."""
+    """Makes tasks that were packed for another process, the last first; the process of one task was killed."""
 
     killed: int | None = None
 
     def __call__(
         self, function: Callable[[Task], Result], tasks: Sequence[Task]
     ) -> Iterator[tuple[int, Result]]:
+        function, tasks = unpacked(*pack((function, tasks)))
         for index in reversed(range(len(tasks))):
             if index != self.killed:
                 yield index, function(tasks[index])
