@@ -209,6 +209,8 @@ class _Loop:
 
         Far from focus the right optimum is clear. Near focus wrong optima are close, and a fit starts from the prediction. Of
         tiles, the clearest next to fitted ones begin from their wavefront, as many at once as the field's expansion has terms.
+        While the anchors leave their sign open, no prediction is sure, and that observation comes first which both signs
+        predict far from focus.
         """
         if selection is None:
             waves = first_of(self.found).waves
@@ -217,6 +219,8 @@ class _Loop:
         modes, at = len(self._noll), selection.lens.model.defocus
         guesses = dict[int, Guesses]()
         stds, defocus = dict[int, float](), dict[int, float]()
+        turned = selection.turned if len(self.found) <= len(self.anchors) else None
+        other = predicted if turned is None else turned.predictions[0]
         for k in left:
             if (row := self.rows.get(k)) is None:
                 guesses[k] = self._guess(modes=(first_of(self.found).waves,))
@@ -224,11 +228,11 @@ class _Loop:
             waves = predicted[row, :modes]
             unsure = at if self.observations[k].tile is None else np.arange(modes)
             stds[k] = float(np.sqrt(np.diag(covariance[row])[unsure].sum()))
-            if stds[k] < SETTINGS.sure_waves:
+            if stds[k] < SETTINGS.sure_waves and turned is None:
                 poses = known_poses(self.observations, self.found, k)
                 guesses[k] = self._guess(starts=(waves,), poses=poses)
             else:
-                defocus[k] = float(waves[at])
+                defocus[k] = min(abs(float(waves[at])), abs(float(other[row, at])))
         stds = {k: stds[k] for k in clearest(self.observations, defocus)}
         terms = len(field_terms(selection.lens.model.field_order))
         for k in best_predicted(self.observations, self.found, stds, terms):
