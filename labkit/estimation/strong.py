@@ -122,9 +122,11 @@ class StrongSearch:
     def _refitted(
         self, ends: Mapping[int, Found], parts: Parts, choice: Parts
     ) -> dict[int, Found]:
-        """Return the optima of stations refitted with a choice of parts and modes."""
+        """Return the optima of stations refitted with a choice of parts and modes; none if the refit of a station was lost."""
         optima = {k: one.best for k, one in ends.items()}
         again = self.refits(optima, parts, choice)
+        if again.keys() != ends.keys():
+            return {}
         return {k: replace(ends[k], optima=(one,)) for k, one in again.items()}
 
     def _stations(self, found: Mapping[int, Found]) -> list[int]:

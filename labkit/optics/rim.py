@@ -178,7 +178,8 @@ class Rim:
         theta = (ends[:-1, None] + half * (1 + node)).ravel()[:, None]
         by_angle = (half * weight).ravel()[:, None]
         node, weight = np.polynomial.legendre.leggauss(radial)
-        depth = 0.5 * (self.outline(theta) - self.inner)
+        # nothing is clear where a climb tries a cut that reaches into the obstruction
+        depth = np.maximum(0.5 * (self.outline(theta) - self.inner), 0.0)
         rho = self.inner + depth * (1 + node)
         weights = (rho * depth * weight * by_angle).ravel()
         x, y = (rho * np.cos(theta)).ravel(), (rho * np.sin(theta)).ravel()

@@ -15,6 +15,7 @@ from labkit.estimation.searches import Searches
 from labkit.estimation.stated import optics_of
 from labkit.imaging.optics import Optics
 from labkit.imaging.parts import KNOWN
+from labkit.types import Floats
 from tests.optimum_samples import PLAN, RANGES_MM, observations, optimum
 
 NONE = frozenset[str]()
@@ -36,6 +37,13 @@ class Played:
     @property
     def wanted(self) -> dict[int, tuple[Optics, Guesses]]:
         return self.turns[-1]
+
+    @property
+    def begun(self) -> Floats:
+        """The wavefront from which the first observation was climbed last."""
+        _, guess = self.wanted[0]
+        assert guess.state is not None
+        return guess.state.waves
 
     def __call__(
         self, wanted: Mapping[int, tuple[Optics, Guesses]], doing: str
@@ -61,9 +69,7 @@ def test_a_refit_without_a_part_begins_from_the_better_optimum_that_the_part_led
     refits = Refits(cast(Searches, search), PLAN)
     refits({0: missed}, NONE, SMEAR)
     refits({0: missed}, NONE, NONE)
-    _, guess = search.wanted[0]
-    assert guess.state is not None
-    np.testing.assert_allclose(guess.state.waves, better.state.waves)
+    np.testing.assert_allclose(search.begun, better.state.waves)
 
 
 def test_modes_are_added_to_a_fit_with_the_obstruction_though_all_modes_explain_more() -> (
@@ -75,9 +81,7 @@ def test_modes_are_added_to_a_fit_with_the_obstruction_though_all_modes_explain_
     refits = Refits(cast(Searches, search), PLAN)
     refits({0: obstructed}, NONE, OBSTRUCTED)
     refits({0: likelier}, HIGHER, OBSTRUCTED | {"modes_16_21"})
-    _, guess = search.wanted[0]
-    assert guess.state is not None
-    np.testing.assert_allclose(guess.state.waves[:2], obstructed.state.waves)
+    np.testing.assert_allclose(search.begun[:2], obstructed.state.waves)
 
 
 def test_a_cats_eye_begins_from_the_uneven_rim_in_whose_place_it_is_fitted() -> None:

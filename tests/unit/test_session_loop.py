@@ -258,6 +258,20 @@ def test_signs_are_turned_until_defocus_grows_with_range() -> None:
     np.testing.assert_allclose(waves, [true_values(r)[0] for r in RANGES_MM])
 
 
+def test_a_lone_anchor_leaves_its_sign_open_and_no_prediction_is_sure() -> None:
+    """Its nearest neighbour is far from focus by either sign, and is swept; then the sign is known."""
+    ranges_mm = (2900.0, 2915.0, 2930.0, 3200.0)
+    play = Play(lambda task: None if range_of(task) == ranges_mm[-1] else right(task))
+    session = played(play, ranges_mm=ranges_mm)
+    (swept,) = play.batches[1]
+    assert swept.label == "G at 2915 mm"
+    assert swept.guesses.modes
+    assert not swept.guesses.starts
+    ((predicted,),) = (task.guesses.starts for task in play.batches[2])
+    np.testing.assert_allclose(predicted[0], true_values(2930.0)[0], rtol=0.01)
+    assert all(fit.optimum.verdict.accepted for fit in session.fits)
+
+
 def test_where_nothing_is_explained_and_one_range_seen_the_search_goes_deep() -> None:
     """Then no other range tells a wrong optimum."""
     play = Play(
