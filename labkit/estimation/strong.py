@@ -10,6 +10,7 @@ import numpy as np
 
 from labkit.errors import LostTasksError
 from labkit.estimation.camera import Parts, cost
+from labkit.estimation.candidate import mostly_unexplained
 from labkit.estimation.local import Found, Guesses, Optimum
 from labkit.estimation.refits import Refits, with_tests
 from labkit.estimation.searches import Searches
@@ -75,7 +76,7 @@ class StrongSearch:
                 ends = self._refitted(ends, way, whole)
             if _height(ends) - cost(whole) > _height(reached) - cost(choice):
                 choice, reached = whole, ends
-            if reached and all(one.best.verdict.accepted for one in reached.values()):
+            if reached and _explained(reached):
                 break
         gain = sum(
             reached[k].best.log_likelihood - best[k].log_likelihood
@@ -113,9 +114,7 @@ class StrongSearch:
             if _height(ends) > _height(reached):
                 reached = ends
             optima = [one.best for one in reached.values()]
-            if all(one.verdict.accepted for one in optima) or _agree(
-                optima, SETTINGS.sure_waves
-            ):
+            if _explained(reached) or _agree(optima, SETTINGS.sure_waves):
                 break
         return reached
 
@@ -225,6 +224,11 @@ def _agree(optima: list[Optimum], within_waves: float) -> bool:
         < within_waves
         for other in others
     )
+
+
+def _explained(reached: Mapping[int, Found]) -> bool:
+    """Return whether most optima are explained: what the others lack may be a part of the camera, and no wrong optimum."""
+    return not mostly_unexplained(one.best.verdict.accepted for one in reached.values())
 
 
 def _confirmed(reached: Mapping[int, Found]) -> bool:
