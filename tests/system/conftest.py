@@ -108,15 +108,19 @@ def photographs(tmp_path_factory: pytest.TempPathFactory) -> Photographs:
 
 
 def capture_few(folder: Path, noll: tuple[int, int]) -> Path:
-    """Capture one photograph at each of two ranges; return the session's folder."""
+    """Capture one photograph at each of two ranges, through a lens with the modes that the plan names; return the folder."""
     few = {
         "camera": {"frames_per_range": 1, "flats_per_range": 2, "darks": 2},
         "fit": {"zernike_noll": list(noll)},
     }
     text = plan_text(SMALL, simulated([2000, 2050.5], 1950.0, ADDRESS), few)
+    settings = settings_for(Plan.parse(text, folder.parent), 7)
+    lens = replace(settings.lens, noll=tuple(range(noll[0] + 1, noll[1] + 1)))
+    bench = Bench(replace(settings, lens=lens))
+    context = DeviceContext(shared=SharedParts({ADDRESS: bench}))
     with (
         Session.create(folder, text, folder.parent) as opened,
-        open_devices(opened.plan) as devices,
+        open_devices(opened.plan, context=context) as devices,
     ):
         run_plan(opened, devices, check=False)
     return folder

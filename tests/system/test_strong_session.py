@@ -14,7 +14,7 @@ from benchmarks.random_sessions import KINDS, make
 CLAIM = "strong"
 
 
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(1800)
 def test_one_wave_in_many_modes_is_found_from_nothing(tmp_path: Path) -> None:
     drawn = KINDS["many-modes-37-one-wave"](1, 0)
     truth = make(drawn, tmp_path / "session")

@@ -14,6 +14,8 @@ from labkit.drivers.simulated.optics import REFERENCE_NM
 from labkit.field.surfaces import frame_places
 from labkit.session.import_frames import import_frames
 
+pytestmark = pytest.mark.timeout(1800)
+
 PER_MM, RADIUS = 0.45, 1.05
 """Shift of the cutting circle for a millimetre of image height, and its radius, over the pupil's."""
 
