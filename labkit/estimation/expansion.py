@@ -239,6 +239,7 @@ def free_f_number(problem: Problem, start: Start, f_number_std: float) -> Freed:
         tolerance=SETTINGS.settled_stds,
         max_steps=SETTINGS.most_steps,
         damping=0.0,
+        least=SETTINGS.least_damping,
     )
     return end.freed(steps, converged)
 
