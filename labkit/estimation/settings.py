@@ -37,8 +37,8 @@ class Settings:
     """Largest number of steps of a climb: climbs to the best optimum of a search take 10 to 20. With a free f-number two to six
     suffice; on `corner-open`, with forty numbers, climbs took 3 to 24, and three of eighteen ended at this limit."""
     least_damping: float = 1e-5
-    """Damping after the first step that led down, over 8, in a climb over all parameters. A trial takes a fifth of the slopes'
-    time, and 1e-3 loses the curved valleys between a cut pupil and modes: on `corner-open` a climb of 25 steps ended 44 lower."""
+    """Damping after the first step that led down, over 8, in a climb over all parameters. A trial takes a quarter of the time
+    of slopes. With 1e-3 a climb of 25 steps in the curved valley of cut pupil and modes, on `corner-open`, ended 44 lower."""
     most_starts: int = 40
     """Largest number of starts of one search: 40 starts miss an optimum to which 5 % lead with a probability of 0.13."""
     enough_returns: int = 8
