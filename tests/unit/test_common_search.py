@@ -105,6 +105,21 @@ def test_ends_of_a_common_search_are_fitted_until_the_ranges_agree(
     assert not any(task.guesses.deep for batch in play.batches for task in batch)
 
 
+def test_no_further_end_is_fitted_where_one_explains_most_ranges() -> None:
+    """The nearest range ends elsewhere, and what it lacks may be a part."""
+
+    def mostly(task: Task) -> Found:
+        if task.guesses.starts and range_of(task) < 3000.0:
+            off = (0.0, STRONG)
+            return Found((optimum(task.optics, range_of(task), off=off, explained=False),))
+        return at_odds(task)
+
+    play = Play(mostly, together=lambda task: ended(task, ASTIGMATISM, 0.0))
+    played(play, plan=CLEAR)
+    assert play.labels[1:3] == AT_ONCE
+    assert play.labels[3] not in AT_ONCE
+
+
 @pytest.mark.parametrize(
     ("scatter", "alone"), [(0.0, False), (STRONG, True)], ids=["agree", "do not"]
 )
