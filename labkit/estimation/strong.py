@@ -10,7 +10,6 @@ import numpy as np
 
 from labkit.errors import LostTasksError
 from labkit.estimation.camera import Parts, cost
-from labkit.estimation.candidate import mostly_unexplained
 from labkit.estimation.local import Found, Guesses, Optimum
 from labkit.estimation.refits import Refits, with_tests
 from labkit.estimation.searches import Searches
@@ -76,7 +75,7 @@ class StrongSearch:
                 ends = self._refitted(ends, way, whole)
             if _height(ends) - cost(whole) > _height(reached) - cost(choice):
                 choice, reached = whole, ends
-            if reached and _explained(reached):
+            if _explained(reached):
                 break
         gain = sum(
             reached[k].best.log_likelihood - best[k].log_likelihood
@@ -228,7 +227,7 @@ def _agree(optima: list[Optimum], within_waves: float) -> bool:
 
 def _explained(reached: Mapping[int, Found]) -> bool:
     """Return whether most optima are explained: what the others lack may be a part of the camera, and no wrong optimum."""
-    return not mostly_unexplained(one.best.verdict.accepted for one in reached.values())
+    return 2 * sum(one.best.verdict.accepted for one in reached.values()) > len(reached)
 
 
 def _confirmed(reached: Mapping[int, Found]) -> bool:
