@@ -81,15 +81,19 @@ MakeCamera = Callable[..., Gphoto2Camera]
 
 @pytest.fixture
 def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[MakeCamera]:
-    """Makes cameras whose libgphoto2 is troubled as told; nothing waits long."""
-    for limit in ("ASK_S", "OPEN_S", "CLOSE_S"):
-        monkeypatch.setattr(gphoto2_camera, limit, 1.5)
+    """Makes cameras whose libgphoto2 is troubled as told; one that hangs is not waited for long."""
+    limits = {
+        limit: getattr(gphoto2_camera, limit) for limit in ("ASK_S", "OPEN_S", "CLOSE_S")
+    }
     made = []
     numbers = itertools.count()
 
     def make(
         port: str = "", keep: bool = False, waited: list[float] | None = None, **spec: Any
     ) -> Gphoto2Camera:
+        hangs = spec.get("fault", {}).get("kind") == "hang"
+        for name, limit in limits.items():
+            monkeypatch.setattr(gphoto2_camera, name, 2.0 if hangs else limit)
         folder = tmp_path / f"calls{next(numbers)}"
         folder.mkdir()
         command = [sys.executable, str(FAULTY), json.dumps({**spec, "folder": str(folder)})]
