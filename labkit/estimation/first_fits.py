@@ -8,8 +8,10 @@ import numpy as np
 
 from labkit.estimation.local import Found, Optimum
 from labkit.estimation.observation import Observation
+from labkit.estimation.select import Selection
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.starts import near_focus
+from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
 from labkit.key import Tile
 from labkit.plan import leading_channel
@@ -114,6 +116,46 @@ def nearest_fitted(
         return None
     away = {k: np.subtract(observations[k].place, here.place) for k in same}
     return min(same, key=lambda k: float(np.hypot(*away[k])))
+
+
+def beside(
+    observations: Sequence[Observation],
+    rows: Mapping[int, int],
+    selection: Selection,
+    place: int,
+    optics: Optics,
+) -> tuple[Optics, Floats] | None:
+    """Return the fit of a channel that the lens predicts to be most like an observation, moved by the predicted difference.
+
+    Numbers of a cut pupil and modes lie along a curved valley, and the Gaussian of the lens may predict a wavefront outside.
+
+    Parameters
+    ----------
+    observations : of the session
+    rows : their places in the selection, of those whose range is known
+    selection : the choices for all observations, and the lens
+    place : of the observation
+    optics : the observation's
+
+    Returns
+    -------
+    optics and modes (modes,); None without a range, or without another fit of the channel
+    """
+    lens, here = selection.lens, rows.get(place)
+    of_channel = [
+        row
+        for k, row in rows.items()
+        if k != place
+        and selection.members[row]
+        and observations[k].channel == observations[place].channel
+    ]
+    if here is None or not of_channel:
+        return None
+    by_lens, modes = lens.solved.predicted, len(optics.noll)
+    away = by_lens[here] - by_lens[of_channel]
+    nearest = int(np.argmin(np.linalg.norm(away[:, :modes], axis=1)))
+    values = lens.measured.values[of_channel[nearest]] + away[nearest]
+    return optics.with_named(lens.model.parts, values[modes:-1]), values[:modes]
 
 
 def known_poses(

@@ -11,7 +11,7 @@ import numpy as np
 from labkit.estimation import starts
 from labkit.estimation.candidate import Candidate, Measured
 from labkit.estimation.climb import NoisePrior, Problem, Start, State
-from labkit.estimation.expansion import Freed, free_f_number
+from labkit.estimation.expansion import Freed, free_f_number, with_optics_about
 from labkit.estimation.held import expanded_about
 from labkit.estimation.likelihood import FrameData, predict
 from labkit.estimation.residuals import Verdict, judge, residual_spectrum
@@ -189,6 +189,7 @@ class Guesses:
     ----------
     f_number_std : relative standard error of the optics' f-number; 0 if exact
     state : end of an earlier climb of the same frames, to start from
+    beside : optics and modes (modes,) that another observation's optimum suggests: climbs begin with these if they are likelier
     held : whether to expand the likelihood about `state`, with its wavefront held, in place of a climb
     starts : wavefronts (modes,) predicted by other frames
     poses : pose of the target in every frame, from another channel, right to a fraction of a pixel; empty if unknown
@@ -203,6 +204,7 @@ class Guesses:
 
     f_number_std: float = 0.0
     state: State | None = None
+    beside: tuple[Optics, Floats] | None = None
     held: bool = False
     starts: tuple[Floats, ...] = ()
     poses: tuple[Pose, ...] = ()
@@ -323,7 +325,7 @@ class _Search:
             if guesses.poses:
                 yield waves, self._lit(waves)
             else:
-                yield waves, starts.settle(self.sketches.problem(guess), guess)
+                yield waves, starts.settled(self.sketches.problem(guess), guess).state
         for waves in guesses.modes:
             guess = replace(self.first, waves=np.asarray(waves, float))
             for state in starts.at_known_modes(self.sketches, guess, log):
@@ -343,7 +345,20 @@ class _Search:
             else self._all_frames(state)
         )
         free = expanded_about if self.guesses.held else free_f_number
-        return free(self.whole, Start(begin), self.guesses.f_number_std)
+        problem, begin = self._likelier(begin)
+        return free(problem, Start(begin), self.guesses.f_number_std)
+
+    def _likelier(self, state: State) -> tuple[Problem, State]:
+        """Return the whole problem and a state of all frames, or the optics and modes beside if these are likelier."""
+        if self.guesses.beside is None:
+            return self.whole, state
+        optics, waves = self.guesses.beside
+        other = replace(state, waves=waves)
+        model = with_optics_about(self.whole.model, optics, other)
+        ways = [(self.whole, state), (replace(self.whole, model=model), other)]
+        ends = [(problem, starts.settled(problem, begin)) for problem, begin in ways]
+        problem, end = max(ends, key=lambda way: way[1].objective)
+        return problem, end.state
 
     def _lit(self, waves: Floats) -> State:
         """Return the state of a wavefront at known poses, its light fitted frame by frame."""
@@ -370,7 +385,7 @@ class _Search:
         if frames == 1:
             return whole
         rough = self.sketches.problem(state)
-        return starts.settle(replace(rough, frames=self.whole.frames), whole)
+        return starts.settled(replace(rough, frames=self.whole.frames), whole).state
 
 
 def _judged(freed: Freed) -> Optimum:

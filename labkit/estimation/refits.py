@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -18,7 +19,9 @@ from labkit.imaging.optics import Optics
 from labkit.imaging.parts import KNOWN, Part
 from labkit.mode_groups import MODE_GROUPS
 from labkit.optics.other_circle import over_other_circle
+from labkit.optics.wavefront import DEFOCUS
 from labkit.plan import Plan
+from labkit.types import Floats
 
 
 @dataclass
@@ -64,35 +67,26 @@ class Refits:
             if k not in kept or (one is not kept[k] and one is not done.get(k))
         }
         done.update(left)
+        if kept:
+            kept.update(self._in_the_way_of(kept, left, choice, score))
+        else:
+            kept.update(self._first_with(left, choice, score))
+        return {k: kept[k] for k in ends if k in kept}
+
+    def _first_with(
+        self, left: Mapping[int, Optimum], choice: Parts, score: bool
+    ) -> dict[int, Optimum]:
+        """Refit observations with a choice for the first time.
+
+        Fits have the parts in common: where new ones may begin in several ways, the observation that shows the pupil best
+        tries all ways, and the others go on in each.
+        """
         tries = {
             k: self._starts(k, one, one.optics.parts, choice) for k, one in left.items()
         }
-        if any(len(each) > 1 for each in tries.values()):
-            kept.update(self._from_one(left, tries, choice, score))
-        else:
-            kept.update(self._searched({k: one for k, (one,) in tries.items()}, score))
-        return {k: kept[k] for k in ends if k in kept}
-
-    def _from_one(
-        self,
-        left: Mapping[int, Optimum],
-        tries: Mapping[int, list[tuple[Optics, State]]],
-        choice: Parts,
-        score: bool,
-    ) -> dict[int, Optimum]:
-        """Refit observations whose new parts may begin in several ways, all in the way of one: fits have the parts in common.
-
-        Earlier fits with the choice have decided for one way. Else the observation that shows the pupil best tries all.
-
-        Parameters
-        ----------
-        left : optima to begin from
-        tries : starts of each
-        """
-        kept = self.made[choice]
-        if kept:
-            return self._in_the_way_of(kept, left, choice, score)
         several = [k for k in tries if len(tries[k]) > 1]
+        if not several:
+            return self._searched({k: one for k, (one,) in tries.items()}, score)
         first = max(several, key=lambda k: self._shows_the_pupil(k, left[k]))
         rest = {k: one for k, one in left.items() if k != first}
         ways = [self._searched({first: one}, score) for one in tries[first]]
@@ -106,11 +100,24 @@ class Refits:
         choice: Parts,
         score: bool,
     ) -> dict[int, Optimum]:
-        """Refit observations from their optima, and from the parts of the fit that shows the pupil best."""
+        """Refit observations from their optima with the parts of the fit that shows the pupil best, or from its wavefront.
+
+        Parameters
+        ----------
+        fitted : refits with the choice
+        left : optima to begin from
+        """
         first = max(fitted, key=lambda k: self._shows_the_pupil(k, fitted[k]))
-        there = fitted[first].optics.parts
-        starts = {k: self._starts(k, one, there, choice)[0] for k, one in left.items()}
-        return self._searched(starts, score)
+        end, begun = fitted[first], self.begun[choice][first]
+        starts = {
+            k: self._starts(k, one, end.optics.parts, choice)[0] for k, one in left.items()
+        }
+        beside = {
+            k: _moved(end, begun, one, starts[k][0])
+            for k, one in left.items()
+            if not end.optics.rim.is_round
+        }
+        return self._searched(starts, score, beside)
 
     def _starts(
         self, k: int, begin: Optimum, before: Sequence[Part], choice: Parts
@@ -137,14 +144,22 @@ class Refits:
         return height, abs(float(end.waves[0]))
 
     def _searched(
-        self, starts: Mapping[int, tuple[Optics, State]], score: bool
+        self,
+        starts: Mapping[int, tuple[Optics, State]],
+        score: bool,
+        beside: Mapping[int, tuple[Optics, Floats]] = MappingProxyType({}),
     ) -> dict[int, Optimum]:
-        """Climb from starts of some observations."""
+        """Climb from starts of some observations, or from optics and modes beside."""
         if not starts:
             return {}
         wanted = dict[int, tuple[Optics, Guesses]]()
         for k, (optics, state) in starts.items():
-            guess = Guesses(SETTINGS.shared_f_number_std, state=state, deep=False)
+            guess = Guesses(
+                SETTINGS.shared_f_number_std,
+                state=state,
+                beside=beside.get(k),
+                deep=False,
+            )
             wanted[k] = optics, with_tests(guess, optics, self.plan) if score else guess
         found = self.search(wanted, "fitting with other parts or modes")
         return {k: each.best for k, each in found.items()}
@@ -176,6 +191,25 @@ def _steps(before: Parts, choice: Parts) -> int:
 def _far(parts: Parts) -> Parts:
     """Return the parts whose start is far from zero."""
     return Parts(name for name in parts if name in KNOWN and KNOWN[name].far)
+
+
+def _moved(
+    end: Optimum, begun: Optimum, other: Optimum, optics: Optics
+) -> tuple[Optics, Floats]:
+    """Return optics and modes of a refitted observation at another's range: f-number and defocus differ as before the refit.
+
+    Parameters
+    ----------
+    end, begun : its optimum after and before the refit
+    other : the other's optimum, not yet refitted
+    optics : the other's
+    """
+    waves, before = end.waves.copy(), begun.optics.f_number
+    if end.noll[0] == DEFOCUS:
+        waves[0] += (other.waves[0] - begun.waves[0]) * (before / end.optics.f_number) ** 2
+    optics = optics.with_named(end.optics.camera_labels, end.optics.camera_parameters)
+    farther = other.optics.f_number / before
+    return replace(optics, f_number=end.optics.f_number * farther), waves
 
 
 def _joint_plausibility(ends: Mapping[int, Optimum]) -> float:

@@ -13,6 +13,7 @@ from labkit.estimation.candidate import poor_model
 from labkit.estimation.estimate import Estimate, LocalFit, is_ranged, observed
 from labkit.estimation.first_fits import (
     anchors,
+    beside,
     best_predicted,
     clearest,
     first_of,
@@ -317,6 +318,9 @@ class _Loop:
         wanted = dict[int, tuple[Optics, Guesses]]()
         for k, guess in guesses.items():
             optics = self._optics(k, selection)
+            if selection is not None and not (optics.rim.is_round or guess.held):
+                likened = beside(self.observations, self.rows, selection, k, optics)
+                guess = replace(guess, beside=likened)
             wanted[k] = optics, with_tests(guess, optics, self.plan)
         blind = not any(guess.starts or guess.modes for guess in guesses.values())
         doing = "searching from nothing" if blind else "fitting"

@@ -252,7 +252,7 @@ def swept(
     if believed:
         yield end.state
     if near and not log.over:
-        posed = settle(sketches.problem(given[0]), given[0])
+        posed = settled(sketches.problem(given[0]), given[0]).state
         yield from retrieved(sketches, posed, [state.waves for state in given], log)
     ends = [end]
     for state in given[1:]:
@@ -325,9 +325,9 @@ def at_random(sketches: Sketches, state: State, log: Log) -> Iterator[State]:
             log.returns += 1
 
 
-def settle(problem: Problem, start: State) -> State:
+def settled(problem: Problem, start: State) -> Solution:
     """Climb a few steps in pose, light and noise alone."""
-    return maximize(problem, start, free_waves=False, max_steps=4, tolerance=1.0).state
+    return maximize(problem, start, free_waves=False, max_steps=4, tolerance=1.0)
 
 
 def searched_from(problem: Problem, start: State) -> Solution:
@@ -337,7 +337,7 @@ def searched_from(problem: Problem, start: State) -> Solution:
     """
     return maximize(
         problem,
-        settle(problem, start),
+        settled(problem, start).state,
         max_steps=SETTINGS.most_steps,
         tolerance=SETTINGS.settled_stds,
     )

@@ -28,7 +28,7 @@ from labkit.estimation.climb import (
 from labkit.estimation.coarse import Coarse
 from labkit.estimation.local import Views
 from labkit.estimation.settings import SETTINGS
-from labkit.estimation.starts import settle
+from labkit.estimation.starts import settled
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
 from labkit.processes import say
@@ -141,7 +141,7 @@ def _climbed(stations: Sequence[Coarse], defocus: Sequence[float], begun: _End) 
         for station, waves in zip(stations, begun.waves, strict=True)
     )
     firsts = tuple(
-        settle(problem, station.state(waves, pose))
+        settled(problem, station.state(waves, pose)).state
         for problem, station, waves, pose in zip(
             problems, stations, begun.waves, poses, strict=True
         )

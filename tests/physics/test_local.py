@@ -203,6 +203,16 @@ def test_a_sweep_yields_a_state_though_its_end_is_doubted_and_no_time_is_left(
     assert len(list(starts.swept(sketches, first, late, doubt_near_focus=True))) == 1
 
 
+@pytest.mark.parametrize("right_beside", [False, True])
+def test_a_climb_begins_with_another_observations_optimum_if_it_is_likelier(
+    views: Views, right_beside: bool
+) -> None:
+    start, other = (WRONG, WAVES) if right_beside else (WAVES, WRONG)
+    found = searched(views, deep=False, starts=(start,), beside=(OPTICS, other))
+    assert len(found.optima) == 1
+    assert_right(found.best)
+
+
 def test_a_part_of_the_model_is_fitted_too(views: Views) -> None:
     camera = replace(OPTICS, parts=(LowPass(),))
     optimum = find_optima(camera, CARPET, views, Guesses(starts=(WRONG,))).best

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from labkit.estimation.estimate import observed
 from labkit.estimation.first_fits import (
+    beside,
     best_predicted,
     clearest,
     nearest_fitted,
@@ -15,9 +17,17 @@ from labkit.estimation.first_fits import (
 )
 from labkit.estimation.local import Found
 from labkit.estimation.observation import Observation
-from labkit.estimation.stated import optics_of
+from labkit.estimation.select import select
+from labkit.estimation.stated import Stated, optics_of
 from labkit.imaging.warp import Pose
-from tests.optimum_samples import NOISE, PLAN, observations, optimum
+from tests.optimum_samples import (
+    NOISE,
+    PLAN,
+    RANGES_MM,
+    observations,
+    optimum,
+    true_values,
+)
 
 TILE_PX = 100
 
@@ -55,6 +65,34 @@ def test_a_tile_begins_from_its_nearest_fitted_neighbour(
 def test_a_neighbour_is_of_the_same_channel_and_range() -> None:
     others = [tile(3), tile(3, "R"), tile(3, range_mm=1260.0)]
     assert nearest_fitted(others, [1, 2], 0) is None
+
+
+def test_the_most_alike_fit_is_moved_by_the_predicted_difference() -> None:
+    seen, optics = observations("G"), optics_of(PLAN, "G")
+    off = {1: 0.004, 2: -0.002}
+    found = {
+        k: Found((optimum(optics, RANGES_MM[k], off=(0.0, waves)),))
+        for k, waves in off.items()
+    }
+    every = [observed(one, found.get(k)) for k, one in enumerate(seen)]
+    rows = {k: k for k in range(len(seen))}
+    selection = select(every, Stated.of(PLAN))
+    assert selection.members[[1, 2]].all()
+    for k, near in ((0, 1), (3, 2)):
+        alike = beside(seen, rows, selection, k, optics)
+        assert alike is not None
+        there, waves = alike
+        defocus, astigmatism, cone, _ = true_values(RANGES_MM[k])
+        np.testing.assert_allclose(waves[0], defocus, atol=0.01)
+        assert waves[1] == pytest.approx(astigmatism + off[near], abs=1e-9)
+        assert np.log(there.f_number) == pytest.approx(cone, abs=1e-3)
+
+
+def test_no_fit_of_another_colour_is_moved() -> None:
+    seen = observations("GR", RANGES_MM[:1])
+    found = Found((optimum(optics_of(PLAN, "G"), RANGES_MM[0]),))
+    selection = select([observed(seen[0], found), observed(seen[1], None)], Stated.of(PLAN))
+    assert beside(seen, {0: 0, 1: 1}, selection, 1, optics_of(PLAN, "R")) is None
 
 
 def test_tiles_next_to_fitted_ones_come_first_and_one_of_a_new_colour() -> None:

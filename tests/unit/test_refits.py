@@ -134,7 +134,16 @@ def test_both_sides_are_tried_far_from_focus_and_other_fits_begin_with_the_bette
     assert list(search.turns[0]) == list(search.turns[1]) == [far]
     assert min(sides) < 0 < max(sides)
     assert list(search.turns[2]) == [1 - far]
-    assert ends[far].optics.parts == search.turns[2][1 - far][0].parts
+    optics, guess = search.turns[2][1 - far]
+    assert ends[far].optics.parts == optics.parts
+    assert guess.beside is not None and guess.state is not None
+    there, waves = guess.beside
+    assert there.parts == ends[far].optics.parts
+    # of the better side, and as far from it in defocus and cone as before
+    wider = (ovals[far].optics.f_number / ends[far].optics.f_number) ** 2
+    apart = ovals[1 - far].waves[0] - ovals[far].waves[0]
+    assert waves[0] - ends[far].waves[0] == pytest.approx(wider * apart, rel=1e-12)
+    assert waves[1] == ends[far].waves[1] != guess.state.waves[1]
     assert all(end.optics.parts[0].values[0] > 0 for end in ends.values())
 
 
