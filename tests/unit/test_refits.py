@@ -136,7 +136,8 @@ def test_both_sides_are_tried_far_from_focus_and_other_fits_begin_with_the_bette
     assert list(search.turns[2]) == [1 - far]
     optics, guess = search.turns[2][1 - far]
     assert ends[far].optics.parts == optics.parts
-    assert guess.beside is not None and guess.state is not None
+    assert guess.beside is not None
+    assert guess.state is not None
     there, waves = guess.beside
     assert there.parts == ends[far].optics.parts
     # of the better side, and as far from it in defocus and cone as before
