@@ -114,8 +114,13 @@ def capture_few(folder: Path, noll: tuple[int, int]) -> Path:
         "fit": {"zernike_noll": list(noll)},
     }
     text = plan_text(SMALL, simulated([2000, 2050.5], 1950.0, ADDRESS), few)
+    return capture_through(range(noll[0] + 1, noll[1] + 1), text, folder)
+
+
+def capture_through(modes: Sequence[int], text: str, folder: Path) -> Path:
+    """Capture a plan's session through a lens with some modes beyond defocus; return the folder."""
     settings = settings_for(Plan.parse(text, folder.parent), 7)
-    lens = replace(settings.lens, noll=tuple(range(noll[0] + 1, noll[1] + 1)))
+    lens = replace(settings.lens, noll=tuple(modes))
     bench = Bench(replace(settings, lens=lens))
     context = DeviceContext(shared=SharedParts({ADDRESS: bench}))
     with (
