@@ -31,7 +31,7 @@ def green(session: FieldSession) -> str:
 def session() -> FieldSession:
     terms = replace(MISALIGNED, cats_eye_per_mm=(PER_MM, RADIUS))
     lens = replace(LENS, field_terms=terms)
-    return field_session((2, 3), (1180.0, 1206.0, 1258.0), lens, tile_px=112, order=3)
+    return field_session((2, 3), (1180.0, 1258.0), lens, tile_px=112, order=3)
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def results(
     make(session, photographs)
     (photographs / "plan.toml").write_text(green(session), encoding="utf-8")
     import_frames(photographs / "frames.csv", photographs / "plan.toml", kept)
-    labkit.fit(kept, workers=2)
+    labkit.fit(kept, workers=1)
     return labkit.Results.load(kept)
 
 
@@ -55,7 +55,7 @@ def test_the_circle_that_cuts_the_pupil_is_found(
         results.model_parts[f"vignetting.{name}"] for name in ("shift", "radius")
     )
     true_shift = PER_MM * results.field.frame.radius_mm
-    # measured 0.0039 and 0.0012
+    # measured 0.0023 and 0.0001, with errors of 0.0049 and 0.0015
     assert abs(shift.value - true_shift) < 3 * shift.std < 3 * 0.008
     assert abs(radius.value - RADIUS) < 3 * radius.std < 3 * 0.0025
 
@@ -75,12 +75,12 @@ def test_every_tile_has_its_wavefront(
         true = bench.view.waves(w.channel, w.placement.centre_px)
         scale = REFERENCE_NM / w.reference_wavelength_nm
         errors = w.waves - [scale * true.get(j, 0.0) for j in w.noll]
-        # measured 0.0008 waves at most, 0.0014 of defocus
+        # measured 0.0009 waves at most, 0.0005 of defocus
         assert np.linalg.norm(errors[1:]) < 0.0016
-        assert abs(errors[0]) < 0.0028
+        assert abs(errors[0]) < 0.0011
         pulls.append(errors / w.std)
-    # measured 0.93
-    assert np.sqrt(np.mean(np.square(pulls))) < 1.4
+    # measured 0.83
+    assert np.sqrt(np.mean(np.square(pulls))) < 1.3
 
 
 def test_psfs_over_the_frame_are_those_of_the_pupil_at_each_place(
@@ -94,5 +94,5 @@ def test_psfs_over_the_frame_are_those_of_the_pupil_at_each_place(
     for place in frame_places(results.field, 2).reshape(-1, 2):
         place_mm = bench.view.place_mm((float(place[0]), float(place[1])))
         share = terms.pupil(place_mm, lens.pupil).clear_share
-        # measured 0.0032 at most, of 0.26 that the cut takes in the corners
-        assert abs(results.field.rim_at(place).area - share) < 0.006
+        # measured 0.0020 at most, of 0.26 that the cut takes in the corners
+        assert abs(results.field.rim_at(place).area - share) < 0.004
