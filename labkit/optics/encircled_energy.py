@@ -143,7 +143,8 @@ def _mean_slopes(wavefront: FittedWavefront) -> Floats:
 def _mean_transfer(wavefront: FittedWavefront, radius_um: float) -> _Mean:
     """Return the mean over directions at frequencies dense enough for a radius, one wavelength after another."""
     shares, lights = zip(*wavefront.lights, strict=True)
-    means = [_mean_in_one_light(light, radius_um) for light in lights]
+    directions = 12 + int(np.ceil(0.5 * steepness(wavefront)))
+    means = [_mean_in_one_light(light, radius_um, directions) for light in lights]
     return _Mean(
         np.concatenate([mean.frequency for mean in means]),
         np.concatenate(
@@ -154,7 +155,9 @@ def _mean_transfer(wavefront: FittedWavefront, radius_um: float) -> _Mean:
     )
 
 
-def _mean_in_one_light(wavefront: FittedWavefront, radius_um: float) -> _Mean:
+def _mean_in_one_light(
+    wavefront: FittedWavefront, radius_um: float, directions: int
+) -> _Mean:
     cutoff = wavefront.cutoff_per_mm * 1e-3
     steep = steepness(wavefront)
     turns = 2 * np.pi * radius_um * cutoff
@@ -165,7 +168,6 @@ def _mean_in_one_light(wavefront: FittedWavefront, radius_um: float) -> _Mean:
         np.pi / 4 * (node + 1)
     )  # f = cutoff cos(angle), with which the transfer function is smooth to its end
     frequency = cutoff * np.cos(angle)
-    directions = 12 + int(np.ceil(0.5 * steep))
     parts = [
         transfer_function(
             wavefront, 1e3 * frequency, k * 180 / directions, not wavefront.exact

@@ -426,13 +426,12 @@ def _rim_transfer(
     """Return `transfer_function` for a pupil of any rim."""
     value = np.zeros(len(frequency_per_mm), complex)
     by_mode = np.zeros((len(wavefront.noll), len(frequency_per_mm)), complex)
-    turn = np.deg2rad(azimuth_deg)
+    turn, rim = float(np.deg2rad(azimuth_deg)), wavefront.rim
     tables = _tables(wavefront.noll, turn)
-    rim = wavefront.rim.turned(-turn)
     for share, light in wavefront.lights:
         airy_mm = light.wavelength_um * light.f_number * 1e-3
         nu = frequency_per_mm * airy_mm
-        spread, its_slopes = _line_spread(light, rim, tables, slopes)
+        spread, its_slopes = _line_spread(light, turn, tables, slopes)
         size = spread.size
         places = np.arange(size) - size // 2
         wave = np.exp(-2j * np.pi * 2 * SAMPLED_RADIUS / size * np.outer(places, nu))
@@ -445,14 +444,14 @@ def _rim_transfer(
 
 
 def _line_spread(
-    wavefront: FittedWavefront, rim: Rim, tables: Floats, slopes: bool
+    wavefront: FittedWavefront, turn: float, tables: Floats, slopes: bool
 ) -> tuple[Floats, Floats]:
-    """Return shares of light (n,) at places along x, and derivatives (modes, n), at one wavelength.
+    """Return shares of light (n,) at places along an azimuth, and derivatives (modes, n), at one wavelength.
 
     Modes are polynomials in coordinates with x along the azimuth: the field needs a transform
     for each power of x in place of one for each mode.
     """
-    offsets, clear = _amplitude(rim, SAMPLED_RADIUS, SAMPLED_RADIUS * rim.longest)
+    offsets, clear = _amplitude(wavefront.rim, turn, SAMPLED_RADIUS)
     powers = (offsets[:, None] / SAMPLED_RADIUS) ** np.arange(tables.shape[1])
     path = powers @ np.tensordot(wavefront.waves, tables, 1).T @ powers.T
     factor = 1j * wavefront.radians_per_wave
@@ -460,32 +459,37 @@ def _line_spread(
     size = _size(offsets.size)
     field = _transformed(pupil, size)
     light = size * np.pi * SAMPLED_RADIUS**2
-    spread = np.sum(np.abs(field) ** 2, axis=0) / light
+    spread = scipy.fft.fftshift(np.sum(np.abs(field) ** 2, axis=0) / light)
     if not slopes:
         return spread, np.zeros((len(tables), 0))
     turned = 2 * factor / light * np.conj(field)
     by_power = [
         powers.T @ (turned * _transformed(pupil * power, size)).real for power in powers.T
     ]  # for each power of x: (powers of y, n)
-    return spread, np.tensordot(tables, np.array(by_power), 2)
+    its_slopes = np.tensordot(tables, np.array(by_power), 2)
+    return spread, scipy.fft.fftshift(its_slopes, axes=1)
 
 
 @lru_cache(maxsize=8)
 def _disc_spread(halo: float, size: int) -> Floats:
     """Return shares of light (n,) of a perfect disc with a halo."""
     radius = SAMPLED_RADIUS / halo
-    _, clear = _amplitude(ROUND_RIM, radius, radius)
+    _, clear = _amplitude(ROUND_RIM, 0.0, radius)
     spread = np.sum(np.abs(_transformed(clear, size)) ** 2, axis=0)
-    return np.asarray(spread / (size * np.pi * radius**2))
+    return np.asarray(scipy.fft.fftshift(spread / (size * np.pi * radius**2)))
 
 
-@lru_cache(maxsize=64)
-def _amplitude(rim: Rim, radius: float, longest: float) -> tuple[Floats, Floats]:
-    """Return coordinates (n,), samples, and the amplitude (n, n) with the light of the full pupil."""
-    half = int(np.ceil(longest)) + OUTLINE_REACH
+@lru_cache(maxsize=128)
+def _amplitude(rim: Rim, turn: float, radius: float) -> tuple[Floats, Floats]:
+    """Return coordinates (n,), samples, and the amplitude (n, n) with the light of the full pupil, x along an azimuth.
+
+    All wavelengths and wavefronts of a lens have the same: to draw a rim takes twice as long as to transform it.
+    """
+    half = int(np.ceil(radius * rim.longest)) + OUTLINE_REACH
     offsets = np.arange(-half, half + 1.0)
     arcs = int(np.ceil(2 * np.pi * radius / ARC_SPACING))
-    clear = smooth_outline(offsets, [radius * edge for edge in rim.edges(arcs)])
+    edges = rim.turned(-turn).edges(arcs)
+    clear = smooth_outline(offsets, [radius * edge for edge in edges])
     return offsets, clear / np.sqrt(rim.area)
 
 
@@ -495,5 +499,5 @@ def _size(width: int) -> int:
 
 
 def _transformed(pupil: Floats | Complexes, size: int) -> Complexes:
-    """Return the transform of each row, frequency 0 in the middle, without a phase common to all rows."""
-    return np.asarray(scipy.fft.fftshift(scipy.fft.fft(pupil, size, axis=1), axes=1))
+    """Return the transform of each row, frequency 0 first, without a phase common to all rows."""
+    return np.asarray(scipy.fft.fft(pupil, size, axis=1))
