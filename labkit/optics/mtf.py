@@ -457,14 +457,14 @@ def _line_spread(
     factor = 1j * wavefront.radians_per_wave
     pupil = clear * np.exp(factor * path)
     size = _size(offsets.size)
-    field = _transformed(pupil, size)
+    field = scipy.fft.fft(pupil, size)
     light = size * np.pi * SAMPLED_RADIUS**2
     spread = scipy.fft.fftshift(np.sum(np.abs(field) ** 2, axis=0) / light)
     if not slopes:
         return spread, np.zeros((len(tables), 0))
     turned = 2 * factor / light * np.conj(field)
     by_power = [
-        powers.T @ (turned * _transformed(pupil * power, size)).real for power in powers.T
+        powers.T @ (turned * scipy.fft.fft(pupil * power, size)).real for power in powers.T
     ]  # for each power of x: (powers of y, n)
     its_slopes = np.tensordot(tables, np.array(by_power), 2)
     return spread, scipy.fft.fftshift(its_slopes, axes=1)
@@ -475,7 +475,7 @@ def _disc_spread(halo: float, size: int) -> Floats:
     """Return shares of light (n,) of a perfect disc with a halo."""
     radius = SAMPLED_RADIUS / halo
     _, clear = _amplitude(ROUND_RIM, 0.0, radius)
-    spread = np.sum(np.abs(_transformed(clear, size)) ** 2, axis=0)
+    spread = np.sum(np.abs(scipy.fft.fft(clear, size)) ** 2, axis=0)
     return np.asarray(scipy.fft.fftshift(spread / (size * np.pi * radius**2)))
 
 
@@ -496,8 +496,3 @@ def _amplitude(rim: Rim, turn: float, radius: float) -> tuple[Floats, Floats]:
 def _size(width: int) -> int:
     """Return an even number of samples of an intensity without aliases."""
     return 2 * int(scipy.fft.next_fast_len(width))
-
-
-def _transformed(pupil: Floats | Complexes, size: int) -> Complexes:
-    """Return the transform of each row, frequency 0 first, without a phase common to all rows."""
-    return np.asarray(scipy.fft.fft(pupil, size, axis=1))
