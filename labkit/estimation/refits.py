@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 
 import numpy as np
 
@@ -86,10 +85,10 @@ class Refits:
         }
         several = [k for k in tries if len(tries[k]) > 1]
         if not several:
-            return self._searched({k: one for k, (one,) in tries.items()}, score)
+            return self._searched({k: one for k, (one,) in tries.items()}, score, {})
         first = max(several, key=lambda k: self._shows_the_pupil(k, left[k]))
         rest = {k: one for k, one in left.items() if k != first}
-        ways = [self._searched({first: one}, score) for one in tries[first]]
+        ways = [self._searched({first: one}, score, {}) for one in tries[first]]
         whole = [way | self._in_the_way_of(way, rest, choice, score) for way in ways if way]
         return max(whole, key=_joint_plausibility, default={})
 
@@ -147,7 +146,7 @@ class Refits:
         self,
         starts: Mapping[int, tuple[Optics, State]],
         score: bool,
-        beside: Mapping[int, tuple[Optics, Floats]] = MappingProxyType({}),
+        beside: Mapping[int, tuple[Optics, Floats]],
     ) -> dict[int, Optimum]:
         """Climb from starts of some observations, or from optics and modes beside."""
         if not starts:

@@ -483,7 +483,7 @@ def _disc_spread(halo: float, size: int) -> Floats:
 def _amplitude(rim: Rim, turn: float, radius: float) -> tuple[Floats, Floats]:
     """Return coordinates (n,), samples, and the amplitude (n, n) with the light of the full pupil, x along an azimuth.
 
-    All wavelengths and wavefronts of a lens have the same: to draw a rim takes twice as long as to transform it.
+    All wavelengths and wavefronts of a lens have the same; to draw a rim takes twice as long as its transforms.
     """
     half = int(np.ceil(radius * rim.longest)) + OUTLINE_REACH
     offsets = np.arange(-half, half + 1.0)
