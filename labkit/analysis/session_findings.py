@@ -47,7 +47,7 @@ from labkit.findings import (
     undetermined,
 )
 from labkit.imaging.panel_aperture import Aperture
-from labkit.imaging.parts import OPTIONAL_PARTS, SpectrumWidth
+from labkit.imaging.parts import KNOWN, SpectrumWidth
 from labkit.key import Key
 from labkit.optics.lens import TELLING_STD
 from labkit.optics.metrics import psf_difference, rms
@@ -310,7 +310,7 @@ def part_findings(
     Parameters
     ----------
     session, numbers, wanted : see `camera_findings`
-    moves : changes of the results without the parts that the plan does not state
+    moves : changes of the results without the parts that the plan does not state, but for the pupil's
     """
     gains = {part.name: part.gain for part in session.tried if part.adopted}
     for name in dict.fromkeys(label.split(".")[0] for label in numbers):
@@ -332,9 +332,9 @@ def part_findings(
         elif name == SpectrumWidth.name and (named := _named_widths(session)):
             yield _light_contradicted(values, named)
         elif name not in wanted:
-            yield camera_part_found(
-                name, OPTIONAL_PARTS[name].words, values, gains.get(name), moves
-            )
+            part = KNOWN[name]
+            alone = None if part.of_rim else moves
+            yield camera_part_found(name, part.words, values, gains.get(name), alone)
 
 
 def _light_contradicted(

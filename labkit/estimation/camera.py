@@ -8,7 +8,7 @@ Every choice is fitted from an optimum with a similar choice.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, reduce
 from itertools import chain
@@ -131,6 +131,13 @@ def _loss(values: Floats, weight: Floats) -> float:
     return 0.5 * float(values @ weight @ values)
 
 
+def idle(fits: Collection[Optimum], names: Parts) -> Parts:
+    """Return those of some parts of fits that gain less than they cost, or less than a share of what is not explained."""
+    losses = wald_losses([fit.measured for fit in fits])
+    least = _least_gain(fits)
+    return Parts(one for one in names if losses.get(one, 0.0) < cost(Parts({one})) + least)
+
+
 def unphysical(fits: Sequence[Measured]) -> Parts:
     """Return the parts whose numbers, common to all fits, are below 0 where only positive numbers are physical."""
     return Parts(
@@ -176,7 +183,7 @@ def _explained(fits: Iterable[Optimum]) -> int:
     return sum(fit.verdict.accepted for fit in fits)
 
 
-def _least_gain(fits: Sequence[Optimum]) -> float:
+def _least_gain(fits: Collection[Optimum]) -> float:
     """Return the least gain of a part: a share of the unexplained log-likelihood, unless most fits are explained.
 
     A part with a smaller gain stands for something else that the model lacks.
@@ -302,6 +309,8 @@ class CameraChoice:
                 if choice in refused or {kind(name) for name in added} & kinds:
                     continue
                 telling = most_telling(present.ends, choice ^ present.parts)
+                if choice < present.parts:  # no fit gains by fewer numbers: one may refuse
+                    telling = telling[:1]
                 trial = Fitted(choice, self.refit(telling, choice))
                 gain = trial.net_gain(present)
                 if gain <= 0:

@@ -36,6 +36,7 @@ from labkit.estimation.stated_camera import StatedCamera
 from labkit.estimation.strong import StrongSearch
 from labkit.execute import Run
 from labkit.imaging.optics import Optics
+from labkit.imaging.parts import KNOWN
 from labkit.imaging.warp import Pose
 from labkit.mode_groups import MODE_GROUPS
 from labkit.optics.field import field_terms
@@ -131,6 +132,11 @@ class _Loop:
     def _camera_parts(self) -> Parts:
         """Camera parts in the model that the plan does not state."""
         return self.parts - MODE_GROUPS.keys()
+
+    @property
+    def _of_the_body(self) -> Parts:
+        """Camera parts in the model that are not the pupil's: without these the lens would be another."""
+        return Parts(one for one in self._camera_parts if not KNOWN[one].of_rim)
 
     # the loop
 
@@ -411,14 +417,17 @@ class _Loop:
 
     def _to_come(self, *, bare: bool = True) -> int:
         """Return the number of steps after the fits: refits with the plan's camera (if `bare`), a joint climb's, results."""
-        adopted = bool(self._camera_parts)
-        each = (adopted and bare) + (adopted or bool(self.camera.wanted))
+        joint = bool(self._camera_parts or self.camera.wanted)
+        each = (bare and bool(self._of_the_body)) + joint
         return len(self.observations) * each + 1
 
     # the end
 
     def ended(self, plain: bool) -> Estimate:
-        """Return the estimate, and the session without adopted parts: for comparison or, if `plain`, as the result."""
+        """Return the estimate, and the session with the plan's camera: for comparison, or as the result if `plain`.
+
+        A plain session has the plan's pupil too.
+        """
         if not self.found:
             left_out = "; ".join(self.search.left_out)
             raise FitError(f"no wavefront could be fitted: {left_out}")
@@ -427,8 +436,9 @@ class _Loop:
         if not self._camera_parts:
             return self._asked(whole, self.camera.missing, self.camera.with_missing)
         ends = {k: self.chosen(k) for k in sorted(self.found)}
-        stated = StatedCamera(self.refits, ends, self.parts, self._camera_parts)
-        if not plain and not stated.explains():
+        without = self._camera_parts if plain else self._of_the_body
+        stated = StatedCamera(self.refits, ends, self.parts, without)
+        if not plain and not (without and stated.explains()):
             return self._asked(whole, (), {})
         self.search.later = self._to_come(bare=False)
         bare = stated.session(whole)

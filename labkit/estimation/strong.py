@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from labkit.errors import LostTasksError
-from labkit.estimation.camera import Parts, cost
+from labkit.estimation.camera import Parts, cost, idle
 from labkit.estimation.local import Found, Guesses, Optimum
 from labkit.estimation.refits import Refits, with_tests
 from labkit.estimation.searches import Searches
@@ -45,7 +45,8 @@ class StrongSearch:
         """Search anew if the optima of two stations are not explained and contradict each other.
 
         Many modes nearly explain what an obstruction does, at wrong optima. So the search is made with each such part before it
-        is made with all modes; what the part does not explain may then be modes.
+        is made with all modes; what the part does not explain may then be modes, which go on without a part that hardly does
+        anything.
 
         Parameters
         ----------
@@ -70,7 +71,8 @@ class StrongSearch:
             least = {
                 k: one.log_likelihood + cost(way) - cost(parts) for k, one in best.items()
             }
-            ends, whole = self._ends(self._stations(found), way, least), way | modes
+            ends = self._ends(self._stations(found), way, least)
+            whole = modes | (way - idle([one.best for one in ends.values()], way - parts))
             if whole != way:
                 ends = self._refitted(ends, way, whole)
             if _height(ends) - cost(whole) > _height(reached) - cost(choice):

@@ -30,11 +30,12 @@ def session(
     plan: Plan = PLAN,
     plain: bool = False,
     explained: Callable[[Task], bool] = lambda task: True,
+    part: str = "smear",
 ) -> tuple[Estimate, Play]:
-    """Fits at the two ends that call for a smear. height: log-likelihood of a task's optimum."""
+    """Fits at the two ends that call for a part. height: log-likelihood of a task's optimum."""
 
     def ends(task: Task) -> Found:
-        scores = {} if task.optics.parts else {"smear": SCORE_TEST}
+        scores = {} if task.optics.parts else {part: SCORE_TEST}
         made = optimum(
             task.optics,
             range_of(task),
@@ -51,6 +52,10 @@ def session(
 
 def by_smear(task: Task) -> float:
     return 100.0 * names(task).count("smear")
+
+
+def by_obstruction(task: Task) -> float:
+    return 100.0 * names(task).count("obstruction")
 
 
 def test_a_part_that_the_fits_need_is_in_all_of_them() -> None:
@@ -79,6 +84,15 @@ def test_a_camera_that_explains_nothing_without_the_parts_is_not_told_of() -> No
     plain, _ = session(
         by_smear, plain=True, explained=lambda task: names(task) == ["smear"]
     )
+    assert [names(fit) for fit in plain.fits] == [[], []]
+
+
+def test_a_pupil_that_was_found_is_the_lens_s_and_no_session_is_made_without_it() -> None:
+    found, play = session(by_obstruction, part="obstruction")
+    assert [names(fit) for fit in found.fits] == [["obstruction"]] * 2
+    assert found.stated_camera is None
+    assert [len(batch) for batch in play.batches] == [2, 2]
+    plain, _ = session(by_obstruction, part="obstruction", plain=True)
     assert [names(fit) for fit in plain.fits] == [[], []]
 
 
