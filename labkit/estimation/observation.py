@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -56,7 +57,7 @@ class Observation:
         """Identity of the observation and of its wavefront."""
         return Key(self.range_mm, self.channel, self.tile)
 
-    @property
+    @cached_property
     def place(self) -> tuple[float, float]:
         """(y, x) of the tile's middle from the middle of the raw image, over half its diagonal; (0, 0) without tiles."""
         if self.tile is None:
