@@ -240,7 +240,7 @@ def camera_part_found(
     part, part_words : name of the part, and the part in words
     values : the part's numbers; each name ends with its unit
     gain : log-likelihood that the part gains, by its score test
-    moves : changes of all results without the added parts
+    moves : changes of all results without the added parts; None for the pupil's, which always stay
     """
     plain = {
         name.removesuffix("_px").removesuffix("_nm").removesuffix("_deg"): value
