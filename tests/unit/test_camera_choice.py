@@ -15,7 +15,6 @@ from labkit.estimation.camera import (
     chance_gain,
     cost,
     extended,
-    idle,
     summed_score_tests,
     wald_losses,
 )
@@ -150,22 +149,6 @@ def test_the_worth_of_parts_is_the_misfit_of_their_numbers() -> None:
     values[2:5] = 0.01, -0.01, 0.04  # known to 0.01 each
     fits = [replace(of, values=values)] * 2
     assert wald_losses(fits) == pytest.approx({"low_pass_filter": 2.0, "diffusion": 16.0})
-
-
-@pytest.mark.parametrize(("unexplained", "is_idle"), [(4900.0, False), (5100.0, True)])
-def test_a_part_is_idle_that_is_worth_less_than_its_share_of_what_is_not_explained(
-    unexplained: float, is_idle: bool
-) -> None:
-    """Two fits whose numbers are 50 errors from zero: worth 1250 each."""
-    optics = OPTICS.with_parts(["obstruction"])
-    fits = [optimum(optics, 3200.0, square=0.5, unexplained=unexplained, explained=False)]
-    assert (idle(fits * 2, Parts(["obstruction"])) == {"obstruction"}) == is_idle
-
-
-def test_a_part_that_chance_gives_to_explained_fits_is_idle() -> None:
-    optics = OPTICS.with_parts(["obstruction"])
-    assert idle([optimum(optics, 3200.0, square=0.02)], Parts(["obstruction"]))
-    assert not idle([optimum(optics, 3200.0, square=0.5)], Parts(["obstruction"]))
 
 
 def test_modes_of_several_fits_are_worth_more_than_chance_gives_to_each() -> None:
