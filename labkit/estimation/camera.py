@@ -132,7 +132,7 @@ def _loss(values: Floats, weight: Floats) -> float:
 
 
 def idle(fits: Collection[Optimum], names: Parts) -> Parts:
-    """Return those of some parts of fits that gain less than they cost, or less than a share of what is not explained."""
+    """Return those of some parts of fits that gain less than their cost and a share of what is not explained together."""
     losses = wald_losses([fit.measured for fit in fits])
     least = _least_gain(fits)
     return Parts(one for one in names if losses.get(one, 0.0) < cost(Parts({one})) + least)
