@@ -40,11 +40,13 @@ def cost(parts: Parts) -> float:
     """Return the penalty of a choice of parts and modes, in log-likelihood.
 
     By chance n numbers gain more than their penalty once in `1 / SETTINGS.part_chance` sessions: twice the gain is
-    distributed as chi-squared with n degrees of freedom. A rarer blur must gain clearly more than the commonest blur.
+    distributed as chi-squared with n degrees of freedom. A rarer blur must gain clearly more than the commonest blur. All
+    modes count as one group: a lens that has some of them has the next ones too, about as strong.
     """
-    rarer = parts & set(ALIKE_BLURS[1:])
-    common = [*(parts - rarer), *ALIKE_BLURS[:1] * len(rarer)]
+    rarer, modes = parts & set(ALIKE_BLURS[1:]), parts & MODE_GROUPS.keys()
+    common = [*(parts - rarer - modes), *ALIKE_BLURS[:1] * len(rarer)]
     penalties = sum(chance_gain(numbers(name)) for name in common)
+    penalties += chance_gain(sum(map(numbers, modes)))
     return penalties + SETTINGS.clear_gain * len(rarer)
 
 
@@ -55,7 +57,7 @@ def numbers(name: str) -> int:
 
 def chance_gain(numbers: int) -> float:
     """Return the log-likelihood gained by absent numbers by chance once in `1 / SETTINGS.part_chance` sessions."""
-    return 0.5 * float(chdtri(numbers, SETTINGS.part_chance))
+    return 0.5 * float(chdtri(numbers, SETTINGS.part_chance)) if numbers else 0.0
 
 
 def summed_score_tests(fits: Sequence[tuple[str, Optimum]]) -> dict[str, ScoreTest]:

@@ -15,6 +15,7 @@ import numpy as np
 from labkit.estimation.block_solve import Point
 from labkit.estimation.candidate import Measured
 from labkit.estimation.estimate import Estimate
+from labkit.estimation.left_out import by_modes_left_out
 from labkit.estimation.lens_fit import LensFit, fit_lens
 from labkit.estimation.local import Optimum
 from labkit.estimation.select import lens_of
@@ -46,14 +47,17 @@ def confirmed(session: Estimate, index: int) -> bool:
 
 
 def with_model_error(session: Estimate) -> Estimate:
-    """Include the bias due to missing parts in the errors of the lens.
+    """Include the bias due to missing parts, or else due to modes that are left out, in the errors of the lens.
 
     The bias is the change of the lens to that of the same fits with the parts, under the same laws. A disagreement of the
     fits that the parts explain does not raise the Birge ratio.
     """
     lens = session.lens
-    if lens is None or not any(session.with_missing):
+    if lens is None:
         return session
+    if not any(session.with_missing):
+        biases = by_modes_left_out(session)
+        return replace(session, lens=replace(lens, biases=biases)) if biases else session
     measured = dict[int, Measured]()
     for k in session.members:
         complete = session.with_all_parts(k).nearest_to(session.fits[k].optimum)
@@ -67,7 +71,7 @@ def with_model_error(session: Estimate) -> Estimate:
     )  # a part that gave way is 0
     bias = Point(theta - lens.theta, there.solved.point.own - lens.solved.point.own)
     bias_chi2 = there.solved.chi2 - lens.solved.chi2
-    return replace(session, lens=replace(lens, bias=bias, bias_chi2=bias_chi2))
+    return replace(session, lens=replace(lens, biases=(bias,), bias_chi2=bias_chi2))
 
 
 def turned_lenses(session: Estimate) -> list[LensFit]:

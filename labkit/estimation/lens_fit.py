@@ -59,7 +59,7 @@ class LensFit:
     model : the laws, for all observations
     measured : measurements of all observations
     solved : the least-squares solution
-    bias : change of the estimate due to camera parts that the model of the frames lacks; None if no part is missing
+    biases : changes of the estimate due to what the model of the frames lacks: camera parts, or modes
     bias_chi2 : change of chi2 due to the missing parts
     others : probabilities and estimates of other models of the plan: numbers that may be mistaken
     """
@@ -67,7 +67,7 @@ class LensFit:
     model: LensModel
     measured: Measurements
     solved: LeastSquares
-    bias: Point | None = None
+    biases: tuple[Point, ...] = ()
     bias_chi2: float = 0.0
     others: tuple[tuple[float, LensFit], ...] = ()
 
@@ -165,10 +165,10 @@ class LensFit:
             there = _sized(combinations, len(lens.theta))
             moved = there @ lens.theta - combinations @ self.theta
             noise += chance * (lens.errors_of(there, k) + np.outer(moved, moved))
-        if self.bias is None:
-            return np.asarray(noise)
-        bias = combinations @ self.bias.theta + own @ self.bias.own[block]
-        return covariance_with_bias(noise, bias)
+        for bias in self.biases:
+            change = combinations @ bias.theta + own @ bias.own[block]
+            noise = covariance_with_bias(noise, change)
+        return np.asarray(noise)
 
     def value(self, kind: str, *name: str | float) -> float:
         """Return the estimate of a column."""

@@ -105,7 +105,7 @@ class Optimum:
             covariance=self.covariance * np.outer(signs, signs),
             measured=self.measured.twin(),
             sandwich=self.sandwich.twin(),
-            scores=twin_scores(self.scores),
+            scores=twin_scores(self.scores, self.measured.signs),
         )
 
     def canonical(self) -> Optimum:

@@ -32,11 +32,13 @@ class ScoreTest:
     slope : (n,) derivative of the log-likelihood by the numbers, at 0
     information : (n, n) Fisher information, all other parameters refitted
     one_sided : whether numbers below 0 are unphysical
+    moves : (n, values) change of the fit's measured values by each number, all other parameters refitted; None for a sum
     """
 
     slope: Floats
     information: Floats
     one_sided: bool = True
+    moves: Floats | None = None
 
     def __add__(self, other: ScoreTest) -> ScoreTest:
         """Add the tests of two fits that share the numbers."""
@@ -44,6 +46,7 @@ class ScoreTest:
             self,
             slope=self.slope + other.slope,
             information=self.information + other.information,
+            moves=None,
         )
 
     @property
@@ -60,13 +63,17 @@ class ScoreTest:
         return float(0.5 * step @ self.slope)
 
 
-def twin_scores(scores: Mapping[str, ScoreTest]) -> dict[str, ScoreTest]:
-    """Return the tests at the twin of an optimum, where even modes have the other sign."""
+def twin_scores(scores: Mapping[str, ScoreTest], of_values: Floats) -> dict[str, ScoreTest]:
+    """Return the tests at the twin of an optimum, where even modes have the other sign.
+
+    of_values: (values,) signs of the measured values, see `Measured.signs`
+    """
     return {
         name: replace(
             test,
             slope=test.slope * signs,
             information=test.information * np.outer(signs, signs),
+            moves=None if test.moves is None else test.moves * np.outer(signs, of_values),
         )
         for name, test in scores.items()
         for signs in [_signs(name, test)]
@@ -114,6 +121,8 @@ def score_tests(
     ]  # present parts keep the prior that they have in a climb
     information[others, others] += without.camera_stds[:-1] ** -2
     rest = inverse(information[np.ix_(kept, kept)])
+    values = np.append(np.setdiff1d(np.arange(cone + 1), new), -1)
+    by_kept = wider.projection[np.ix_(values, kept)]
     result = {}
     parts = {part.name: part for part in wider.optics.parts}
     for name, at in added.items():
@@ -123,6 +132,7 @@ def score_tests(
             slope,
             information[np.ix_(at, at)] - pulled @ information[np.ix_(kept, at)],
             one_sided=name in parts and parts[name].one_sided,
+            moves=-pulled @ by_kept.T,
         )
     return result
 

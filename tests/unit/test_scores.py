@@ -175,6 +175,17 @@ def test_modes_gain_as_much_as_a_climb_with_them_gains() -> None:
     assert 0 < further < chance_gain(7)
 
 
+def test_a_fit_without_modes_is_off_by_what_they_move() -> None:
+    waves = 0.1 * np.array(HIGHER)
+    plain, off = fitted(higher_problem((0.0,) * 6)), fitted(higher_problem(tuple(waves)))
+    test = score_tests(plain.expansion, ["modes_16_21"], 0.03)["modes_16_21"]
+    std = np.sqrt(np.diag(plain.measured.covariance))
+    moved = (off.measured.values - plain.measured.values) / std
+    assert test.moves is not None
+    assert np.abs(moved).max() > 0.5
+    np.testing.assert_allclose(-waves @ test.moves / std, moved, atol=0.1)
+
+
 def test_a_lens_without_higher_modes_shows_none() -> None:
     names = ["modes_16_21", "modes_22_28", "modes_29_36"]
     tests = score_tests(fitted(problem()).expansion, names, 0.03)
@@ -186,7 +197,7 @@ def test_a_lens_without_higher_modes_shows_none() -> None:
 def test_the_twin_shows_the_even_modes_with_the_other_sign() -> None:
     expansion = fitted(higher_problem(HIGHER)).expansion
     tests = score_tests(expansion, ["veil", "modes_16_21", "modes_22_28"], 0.03)
-    twin = twin_scores(tests)
+    twin = twin_scores(tests, np.array([-1.0, 1.0, 1.0, 1.0, 1.0]))
     np.testing.assert_array_equal(twin["veil"].slope, tests["veil"].slope)
     odd, even = np.split(twin["modes_22_28"].slope, [6])
     np.testing.assert_array_equal(odd, tests["modes_22_28"].slope[:6])

@@ -1,0 +1,81 @@
+"""Modes that a session leaves out widen the errors of its lens by what they probably are. Searches are played."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labkit.estimation.doubts import with_model_error
+from labkit.estimation.estimate import Estimate
+from labkit.estimation.left_out import by_modes_left_out, likely
+from labkit.estimation.local import Found
+from labkit.estimation.scores import ScoreTest
+from tests.lens_samples import best_focus
+from tests.optimum_samples import FOCUS_MM, Play, optimum, played, range_of, true_values
+
+GROUP = "modes_16_21"
+STD = 1e-3
+"""Waves of each of six modes, by one fit."""
+MOVES = np.outer(np.ones(6), [0.3, 0.0, 0.0, 0.0])
+"""Each mode moves defocus alone, by 0.3 of itself."""
+
+
+def told(gain: float) -> ScoreTest:
+    """Return a test by which six modes, all alike, gain so much in one fit."""
+    waves = np.full(6, STD * np.sqrt(2 * gain / 6))
+    information = np.eye(6) / STD**2
+    return ScoreTest(information @ waves, information, one_sided=False, moves=MOVES)
+
+
+def session(gain: float) -> Estimate:
+    """Four ranges; each fit was tested for modes that would gain so much in it."""
+    scores = {GROUP: told(gain)}
+    return played(
+        Play(lambda task: Found((optimum(task.optics, range_of(task), scores=scores),)))
+    )
+
+
+def moved(of: ScoreTest) -> np.ndarray:
+    """Return the RMS of what each number may be."""
+    return np.asarray(np.sqrt(np.sum(likely(of) ** 2, axis=0)))
+
+
+@pytest.mark.parametrize("gain", [5.0, 12.0, 100.0])
+def test_numbers_alike_shrink_as_stein_has_it(gain: float) -> None:
+    """James and Stein's share for n numbers of one error is 1 - n / sum of their squares (Morris 1983, empirical Bayes)."""
+    share = 1 - 6 / (2 * gain)
+    squares = (share * STD * np.sqrt(2 * gain / 6)) ** 2 + share * STD**2
+    np.testing.assert_allclose(moved(told(gain)), np.sqrt(squares), rtol=1e-3)
+
+
+def test_numbers_that_chance_explains_are_none() -> None:
+    assert likely(told(2.9)).shape == (0, 6)
+    assert by_modes_left_out(session(0.5)) == ()
+
+
+def test_the_likeliest_numbers_come_first() -> None:
+    test = ScoreTest(np.array([4000.0, 100.0]), np.diag([1e6, 1e3]), one_sided=False)
+    mean = likely(test)[0]
+    assert 0 < mean[0] < 4000 / 1e6
+    assert 0 < mean[1] < 100 / 1e3
+
+
+def test_best_focus_allows_for_what_the_modes_move() -> None:
+    plain = session(2.0)
+    widened = with_model_error(plain).lens
+    assert plain.lens is not None
+    assert widened is not None
+    four = ScoreTest(4 * told(2.0).slope, 4 * told(2.0).information, one_sided=False)
+    by = [float(plain.lens.model.best_focus("G") @ one.theta) for one in widened.biases]
+    # defocus of all fits moves alike: best focus by that over the slope of defocus
+    (near, *_), (far, *_) = true_values(FOCUS_MM - 1), true_values(FOCUS_MM + 1)
+    mm = 0.3 * np.linalg.norm(likely(four).sum(axis=1)) / ((far - near) / 2)
+    assert np.hypot.reduce(by) == pytest.approx(mm, rel=0.05)
+    before, after = best_focus(plain.lens, "G"), best_focus(widened, "G")
+    assert after.value == before.value
+    assert after.std == pytest.approx(np.hypot(before.std, mm), rel=0.1)
+
+
+def test_a_lens_whose_modes_are_all_told_is_as_sure_as_before() -> None:
+    plain = session(0.5)
+    assert with_model_error(plain) is plain
