@@ -40,14 +40,23 @@ def cost(parts: Parts) -> float:
     """Return the penalty of a choice of parts and modes, in log-likelihood.
 
     By chance n numbers gain more than their penalty once in `1 / SETTINGS.part_chance` sessions: twice the gain is
-    distributed as chi-squared with n degrees of freedom. A rarer blur must gain clearly more than the commonest blur. All
-    modes count as one group: a lens that has some of them has the next ones too, about as strong.
+    distributed as chi-squared with n degrees of freedom. A rarer blur must gain clearly more than the commonest blur.
     """
     rarer, modes = parts & set(ALIKE_BLURS[1:]), parts & MODE_GROUPS.keys()
     common = [*(parts - rarer - modes), *ALIKE_BLURS[:1] * len(rarer)]
     penalties = sum(chance_gain(numbers(name)) for name in common)
-    penalties += chance_gain(sum(map(numbers, modes)))
-    return penalties + SETTINGS.clear_gain * len(rarer)
+    return penalties + SETTINGS.clear_gain * len(rarer) + _cost_of_modes(modes)
+
+
+def _cost_of_modes(groups: Parts) -> float:
+    """Return the penalty of groups of modes: together they count as one, but each further group must gain clearly.
+
+    A lens that has some of these modes has the next ones too, about as strong.
+    """
+    sizes = np.cumsum([numbers(name) for name in MODE_GROUPS if name in groups])
+    costs = np.array([chance_gain(n) for n in sizes])
+    further = np.maximum(np.diff(costs), SETTINGS.clear_gain)
+    return float(costs[:1].sum() + further.sum())
 
 
 def numbers(name: str) -> int:
@@ -57,7 +66,7 @@ def numbers(name: str) -> int:
 
 def chance_gain(numbers: int) -> float:
     """Return the log-likelihood gained by absent numbers by chance once in `1 / SETTINGS.part_chance` sessions."""
-    return 0.5 * float(chdtri(numbers, SETTINGS.part_chance)) if numbers else 0.0
+    return 0.5 * float(chdtri(numbers, SETTINGS.part_chance))
 
 
 def summed_score_tests(fits: Sequence[tuple[str, Optimum]]) -> dict[str, ScoreTest]:

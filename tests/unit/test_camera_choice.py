@@ -179,7 +179,10 @@ def test_numbers_that_are_not_there_gain_their_cost_once_in_20_000_sessions(
 def test_modes_of_several_orders_cost_what_as_many_numbers_of_one_group_do() -> None:
     lower, both = Parts(["modes_16_21"]), Parts(["modes_16_21", "modes_22_28"])
     assert cost(lower) == chance_gain(6)
-    assert cost(both) == chance_gain(13)
+    assert cost(both) == pytest.approx(chance_gain(13))
+    # one more number, of which 22 together would cost 0.8 more than 21
+    three = extended(both, "modes_29_36")
+    assert cost(extended(three, "modes_37_37")) == pytest.approx(cost(three) + 4.5)
     assert extended(Parts(["veil"]), "modes_22_28") == both | {"veil"}
 
 
