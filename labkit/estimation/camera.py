@@ -103,75 +103,84 @@ def summed_score_tests(fits: Sequence[tuple[str, Optimum]]) -> dict[str, ScoreTe
     return whole
 
 
-def _places(measured: Measured) -> dict[str, Indices]:
-    """Return the places of each part's numbers, and of the highest modes, among a fit's values."""
-    labels = [label.split(".")[0] for label in measured.parts]
-    places = {
-        name: len(measured.noll) + np.flatnonzero([one == name for one in labels])
-        for name in dict.fromkeys(labels)
-        if name in KNOWN
-    }
+def _places(measured: Measured, names: Collection[str]) -> Indices:
+    """Return the places of the numbers of parts and groups of modes among a fit's values, as far as it has them."""
+    wanted = {j for name in names if name in MODE_GROUPS for j in MODE_GROUPS[name].noll}
+    modes = np.isin(measured.noll, [*wanted])
+    parts = [label.split(".")[0] in names for label in measured.parts]
+    return np.flatnonzero([*modes, *parts])
+
+
+def _present(measured: Measured) -> list[str]:
+    """Return the parts of a fit's model, and the group of its highest modes."""
+    parts = dict.fromkeys(label.split(".")[0] for label in measured.parts)
     groups = [n for n in MODE_GROUPS if MODE_GROUPS[n].last in measured.noll]
-    for name in groups[-1:]:
-        places[name] = np.flatnonzero(np.isin(measured.noll, MODE_GROUPS[name].noll))
-    return places
+    return [name for name in parts if name in KNOWN] + groups[-1:]
 
 
 def wald_losses(fits: Sequence[Measured]) -> dict[str, float]:
-    """Return the log-likelihood lost without each part, and without the highest modes (Wald test).
-
-    A part of all channels has one value for all fits: by chance each fit alone would add half a unit for each number, which is
-    taken off where fits have values of their own.
-    """
-    losses = {name: _loss(*one) for name, one in _common(fits).items()}
-    for measured in fits:
-        for name, at in _places(measured).items():
-            if name in MODE_GROUPS or KNOWN[name].per_channel:
-                loss = _loss(measured.values[at], _weight(measured, at))
-                before = losses.get(name)
-                losses[name] = loss if before is None else before + loss - 0.5 * at.size
-    return losses
+    """Return the log-likelihood lost without each part, and without the highest modes, common to all fits (Wald test)."""
+    present = dict.fromkeys(chain.from_iterable(map(_present, fits)))
+    return {name: _loss(*_mean(_apart(fits, [name]))) for name in present}
 
 
-def _weight(measured: Measured, at: Indices) -> Floats:
-    """Return the inverse covariance of some of a fit's values."""
-    return np.asarray(np.linalg.inv(measured.covariance[np.ix_(at, at)]), float)
+Apart = list[tuple[Floats, Floats]]
+"""Of each fit, some numbers (n,) and their inverse covariance (n, n)."""
+
+
+def _apart(fits: Sequence[Measured], names: Collection[str]) -> Apart:
+    """Return the numbers of parts and groups of modes in each fit that has all of them."""
+    places = [(fit, _places(fit, names)) for fit in fits]
+    most = max(at.size for _, at in places)
+    return [
+        (fit.values[at], np.asarray(np.linalg.inv(fit.covariance[np.ix_(at, at)]), float))
+        for fit, at in places
+        if at.size == most
+    ]
+
+
+def _mean(apart: Apart) -> tuple[Floats, Floats]:
+    """Return common numbers (n,) and their inverse covariance (n, n)."""
+    weight = np.sum([weight for _, weight in apart], axis=0)
+    pulled = np.sum([weight @ values for values, weight in apart], axis=0)
+    return np.linalg.solve(weight, pulled), weight
 
 
 def _loss(values: Floats, weight: Floats) -> float:
     return 0.5 * float(values @ weight @ values)
 
 
+def _gained_apart(fits: Sequence[Measured], names: Parts) -> float:
+    """Return the log-likelihood that numbers gain by being each fit's own, where chance explains that they differ.
+
+    If they differ by more, they do for a reason: only what as many numbers gain by chance is returned.
+    """
+    many = sum(map(numbers, names))
+    if not many:
+        return 0.0
+    chance = chance_gain(many * len(fits)) - chance_gain(many)
+    if any(_places(fit, names).size < many for fit in fits):
+        return chance
+    apart = _apart(fits, names)
+    mean, _ = _mean(apart)
+    return min(chance, sum(_loss(values - mean, weight) for values, weight in apart))
+
+
 def idle(fits: Collection[Optimum], names: Parts) -> Parts:
     """Return those of some parts of fits that gain less than their cost and a share of what is not explained together."""
-    losses = wald_losses([fit.measured for fit in fits])
+    losses = wald_losses(_measured(fits))
     least = _least_gain(fits)
     return Parts(one for one in names if losses.get(one, 0.0) < cost(Parts({one})) + least)
 
 
 def unphysical(fits: Sequence[Measured]) -> Parts:
     """Return the parts whose numbers, common to all fits, are below 0 where only positive numbers are physical."""
-    return Parts(
-        name
-        for name, (values, _) in _common(fits).items()
-        if KNOWN[name].one_sided and not (values.max() > 0 and values.sum() > 0)
-    )
-
-
-def _common(fits: Sequence[Measured]) -> dict[str, tuple[Floats, Floats]]:
-    """Return the numbers of each part of all channels, common to all fits, and their inverse covariance."""
-    weights, sums = dict[str, Floats](), dict[str, Floats]()
-    for measured in fits:
-        for name, at in _places(measured).items():
-            if name in MODE_GROUPS or KNOWN[name].per_channel:
-                continue
-            weight = _weight(measured, at)
-            weights[name] = weights.get(name, np.zeros_like(weight)) + weight
-            sums[name] = sums.get(name, np.zeros(at.size)) + weight @ measured.values[at]
-    return {
-        name: (np.asarray(np.linalg.solve(weight, sums[name]), float), weight)
-        for name, weight in weights.items()
+    means = {
+        name: _mean(_apart(fits, [name]))[0]
+        for name in dict.fromkeys(chain.from_iterable(map(_present, fits)))
+        if name in KNOWN and not KNOWN[name].per_channel and KNOWN[name].one_sided
     }
+    return Parts(name for name, of in means.items() if not (of.max() > 0 and of.sum() > 0))
 
 
 def extended(parts: Parts, name: str) -> Parts:
@@ -192,6 +201,10 @@ def kind(name: str) -> str:
 def _explained(fits: Iterable[Optimum]) -> int:
     """Return the number of fits whose residuals are noise alone."""
     return sum(fit.verdict.accepted for fit in fits)
+
+
+def _measured(fits: Iterable[Optimum]) -> list[Measured]:
+    return [fit.measured for fit in fits]
 
 
 def _least_gain(fits: Collection[Optimum]) -> float:
@@ -226,21 +239,17 @@ class Fitted:
     ends: Mapping[int, Optimum]
 
     def gain(self, before: Fitted) -> float:
-        """Return the log-likelihood gained over earlier fits of these observations by numbers common to all.
-
-        Each fit has numbers of its own, which gain half a unit each by chance.
-        """
-        more = sum(map(numbers, self.parts)) - sum(map(numbers, before.parts))
-        gained = sum(
-            end.log_likelihood - before.ends[k].log_likelihood
-            for k, end in self.ends.items()
-        )
-        return gained - 0.5 * more * (len(self.ends) - 1)
+        """Return the log-likelihood gained over earlier fits of these observations by numbers common to all."""
+        there = [before.ends[k] for k in self.ends]
+        gained = sum(one.log_likelihood for one in self.ends.values())
+        gained -= sum(one.log_likelihood for one in there)
+        added = _gained_apart(_measured(self.ends.values()), self.parts - before.parts)
+        return gained - added + _gained_apart(_measured(there), before.parts - self.parts)
 
     @cached_property
     def unphysical(self) -> Parts:
         """Parts with unphysical numbers."""
-        return unphysical([end.measured for end in self.ends.values()]) & self.parts
+        return unphysical(_measured(self.ends.values())) & self.parts
 
     def net_gain(self, before: Fitted) -> float:
         """Return the gain less the cost of the added parts; unphysical parts leave at any loss."""
@@ -345,7 +354,7 @@ class CameraChoice:
         tests = self._tests(present)
         self.tried = [one for one in self.tried if one.name not in tests]
         self.tried += [PartTried(name, test.gain, False) for name, test in tests.items()]
-        losses = wald_losses([fit.measured for fit in fits])
+        losses = wald_losses(_measured(fits))
         for name in sorted(parts & losses.keys(), key=lambda one: losses[one]):
             worth = cost(parts) - cost(parts - {name})
             if losses[name] < worth or name in present.unphysical:

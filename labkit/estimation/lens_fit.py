@@ -408,6 +408,19 @@ def fit_lens(
     return LensFit(model, measured, solve(model, data, start, tolerance))
 
 
+def predicted_by_other_stations(lens: LensFit) -> Floats:
+    """Predict the values (n, values) of each observation by the members at other stations of the rail, if there are any."""
+    stations = np.array([reading.station for reading in lens.model.readings])
+    predicted = lens.predictions[0].copy()
+    for station in np.unique(stations):
+        here = stations == station
+        others = replace(lens.measured, used=lens.measured.used & ~here)
+        if others.used.any():
+            rest = fit_lens(lens.model, others, lens.solved.point)
+            predicted[here] = rest.solved.predicted[here]
+    return predicted
+
+
 def fit_field(
     model: LensModel, measured: Measurements, start: Point | None = None
 ) -> LensFit:

@@ -24,7 +24,7 @@ from labkit.estimation.first_fits import (
     wrong_near_focus,
 )
 from labkit.estimation.laws import Laws
-from labkit.estimation.lens_fit import fit_lens
+from labkit.estimation.lens_fit import fit_lens, predicted_by_other_stations
 from labkit.estimation.local import Found, Guesses, Optimum
 from labkit.estimation.observation import Observation
 from labkit.estimation.refits import Refits, with_tests
@@ -255,15 +255,16 @@ class _Loop:
 
         A fit that left its prediction is expanded about it: near focus, optima may be far from the truth.
 
-        If modes differ from range to range, every fit is tried with the modes of the others, and the likelihood decides.
+        If modes differ from range to range, every fit is tried with the modes of other ranges, and the likelihood decides.
         If the model is incomplete for all, modes differ for that reason, and no member is refitted.
         Outliers are refitted from the predictions of both signs if the members leave their sign open, and at least once from a
         prediction: their wavefront may be alike, and their pupil not.
         """
         lens = selection.lens
-        if not lens.model.laws.shared:
-            lens = fit_lens(replace(lens.model, laws=Laws()), lens.measured)
         predicted, _ = lens.predictions
+        if not lens.model.laws.shared:
+            strict = fit_lens(replace(lens.model, laws=Laws()), lens.measured)
+            predicted = predicted_by_other_stations(strict)
         doubted = dict[int, Guesses]()
         poor = poor_model(selection.observed)
         anyone = not poor and any(

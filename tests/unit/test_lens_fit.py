@@ -12,7 +12,7 @@ from labkit.analysis.session_results import as_focus, budget
 from labkit.estimation.block_solve import Point
 from labkit.estimation.candidate import Observed
 from labkit.estimation.laws import FOCUS, MAGNIFICATION, RANGE_ZERO, Laws
-from labkit.estimation.lens_fit import LensFit, fit_lens
+from labkit.estimation.lens_fit import LensFit
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import Stated
 from labkit.optics.known_bias import covariance_with_bias
@@ -356,24 +356,6 @@ def test_errors_grow_where_the_members_disagree() -> None:
     shares = budget(fit)["best_focus_mm.G"]
     assert np.linalg.norm(list(shares.values())) == pytest.approx(
         best_focus(fit, "G").std, rel=1e-6
-    )
-
-
-@pytest.mark.parametrize(
-    "of", [Laws(), Laws(mode_scatter=0.01)], ids=["shared", "scattered"]
-)
-def test_a_prediction_is_that_of_an_estimate_without_the_observation(of: Laws) -> None:
-    plan, every = stated(60.0, 4.0), members(NEAR, 482.0, 60.0, 4.0, modes={7: 0.02})
-    every = [moved(one, 3e-4 * (-1) ** k, modes=2e-3 * k) for k, one in enumerate(every)]
-    whole = lens_of(every, plan, of)
-    others = fit_lens(
-        whole.model, replace(whole.measured, used=np.arange(15) != 4), whole.solved.point
-    )
-    (predicted, covariance), (alone, spread) = whole.predictions, others.predictions
-    std = np.sqrt(np.diag(spread[4]))
-    np.testing.assert_allclose(predicted[4] / std, alone[4] / std, atol=5e-5)
-    np.testing.assert_allclose(
-        covariance[4] / np.outer(std, std), spread[4] / np.outer(std, std), atol=5e-4
     )
 
 

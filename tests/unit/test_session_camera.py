@@ -61,7 +61,7 @@ def by_obstruction(task: Task) -> float:
 def test_a_part_that_the_fits_need_is_in_all_of_them() -> None:
     found, play = session(by_smear)
     assert [names(fit) for fit in found.fits] == [["smear"]] * 2
-    assert found.tried == (PartTried("smear", 198.5, adopted=True),)
+    assert found.tried == (PartTried("smear", 200.0, adopted=True),)
     assert (found.missing, found.with_missing) == ((), ())
     assert found.lens is not None
     assert found.lens.value("part", "smear.rows_px2") == pytest.approx(0.5)
@@ -99,7 +99,7 @@ def test_a_pupil_that_was_found_is_the_lens_s_and_no_session_is_made_without_it(
 def test_a_plain_session_has_no_part_in_the_end_and_the_fits_with_it_beside_it() -> None:
     plain, _ = session(by_smear, plain=True)
     assert [names(fit) for fit in plain.fits] == [[], []]
-    assert plain.tried == (PartTried("smear", 198.5, adopted=False),)
+    assert plain.tried == (PartTried("smear", 200.0, adopted=False),)
     assert plain.missing == ("smear",)
     assert [
         fit and [part.name for part in fit.optics.parts] for fit in plain.with_missing
