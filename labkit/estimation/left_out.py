@@ -35,6 +35,8 @@ def by_modes_left_out(session: Estimate) -> tuple[Point, ...]:
     if lens is None or not tests:
         return ()
     deviations = likely(reduce(ScoreTest.__add__, tests.values()))
+    if not len(deviations):
+        return ()
     rows = [session.row(k) for k in tests]
     used = np.isin(np.arange(len(lens.measured.used)), rows)
     tested = replace(lens.measured, used=used)

@@ -409,15 +409,19 @@ def fit_lens(
 
 
 def predicted_by_other_stations(lens: LensFit) -> Floats:
-    """Predict the values (n, values) of each observation by the members at other stations of the rail, if there are any."""
+    """Predict the values (n, values) of each observation: modes by the members at other stations of the rail, if there are any.
+
+    Defocus is predicted by all other observations, because one other station does not determine best focus.
+    """
     stations = np.array([reading.station for reading in lens.model.readings])
+    modes = [k for k in range(len(lens.model.noll)) if k != lens.model.defocus]
     predicted = lens.predictions[0].copy()
     for station in np.unique(stations):
         here = stations == station
         others = replace(lens.measured, used=lens.measured.used & ~here)
         if others.used.any():
             rest = fit_lens(lens.model, others, lens.solved.point)
-            predicted[here] = rest.solved.predicted[here]
+            predicted[np.ix_(here, modes)] = rest.solved.predicted[np.ix_(here, modes)]
     return predicted
 
 
