@@ -378,11 +378,10 @@ def _moves_by_missing(session: Estimate, wavefronts: Sequence[Wavefront]) -> Mov
 def _focus_bias(lens: LensFit) -> dict[str, float]:
     """Return the change of each best focus, mm, due to parts absent from the model."""
     focus = as_focus(lens)
-    if focus is None:
+    if focus is None or lens.bias is None:
         return {}
     return {
-        c: sum(float(lens.model.best_focus(c) @ bias.theta) for bias in lens.biases)
-        for c in focus.best_focus_mm
+        c: float(lens.model.best_focus(c) @ lens.bias.theta) for c in focus.best_focus_mm
     }
 
 

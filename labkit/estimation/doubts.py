@@ -47,7 +47,7 @@ def confirmed(session: Estimate, index: int) -> bool:
 
 
 def with_model_error(session: Estimate) -> Estimate:
-    """Include the bias due to missing parts, or else due to modes that are left out, in the errors of the lens.
+    """Include the bias due to missing parts, or else what modes that are left out may move, in the errors of the lens.
 
     The bias is the change of the lens to that of the same fits with the parts, under the same laws. A disagreement of the
     fits that the parts explain does not raise the Birge ratio.
@@ -56,8 +56,8 @@ def with_model_error(session: Estimate) -> Estimate:
     if lens is None:
         return session
     if not any(session.with_missing):
-        biases = by_modes_left_out(session)
-        return replace(session, lens=replace(lens, biases=biases)) if biases else session
+        moved = by_modes_left_out(session)
+        return replace(session, lens=replace(lens, unknown=moved)) if moved else session
     measured = dict[int, Measured]()
     for k in session.members:
         complete = session.with_all_parts(k).nearest_to(session.fits[k].optimum)
@@ -71,7 +71,7 @@ def with_model_error(session: Estimate) -> Estimate:
     )  # a part that gave way is 0
     bias = Point(theta - lens.theta, there.solved.point.own - lens.solved.point.own)
     bias_chi2 = there.solved.chi2 - lens.solved.chi2
-    return replace(session, lens=replace(lens, biases=(bias,), bias_chi2=bias_chi2))
+    return replace(session, lens=replace(lens, bias=bias, bias_chi2=bias_chi2))
 
 
 def turned_lenses(session: Estimate) -> list[LensFit]:

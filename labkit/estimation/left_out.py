@@ -3,11 +3,14 @@
 A session adopts higher modes only where they gain more than absent modes do by chance. Weaker ones remain in the photographs,
 and the modes that are fitted take up a share of them. The score tests that decided about them tell both: the likeliest
 numbers, under a normal prior whose variance has the largest marginal likelihood (C. N. Morris, J. Am. Stat. Assoc. 78, 47
-(1983)), and what each of them moves in a fit. Modes that chance explains have no variance, and move nothing.
+(1983)), and what each of them moves in a fit. Beyond modes that were adopted the next ones are about as strong, whatever the
+tests tell: behind a deep cat's eye they hardly tell higher modes from lower ones. Otherwise modes that chance explains have no
+variance, and move nothing.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import reduce
 
@@ -15,6 +18,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from labkit.estimation.block_solve import Point
+from labkit.estimation.candidate import Measured
 from labkit.estimation.estimate import Estimate
 from labkit.estimation.lens_fit import fit_lens
 from labkit.estimation.scores import ScoreTest
@@ -34,7 +38,8 @@ def by_modes_left_out(session: Estimate) -> tuple[Point, ...]:
     lens, tests = session.lens, _tests(session)
     if lens is None or not tests:
         return ()
-    deviations = likely(reduce(ScoreTest.__add__, tests.values()))
+    adopted = _strength([session.fits[k].optimum.measured for k in tests])
+    deviations = likely(reduce(ScoreTest.__add__, tests.values()), adopted)
     if not len(deviations):
         return ()
     rows = [session.row(k) for k in tests]
@@ -62,10 +67,20 @@ def _tests(session: Estimate) -> dict[int, ScoreTest]:
     return {k: of[names[-1]] for k, of in every.items() if names and names[-1] in of}
 
 
-def likely(test: ScoreTest) -> Floats:
+def _strength(fits: Sequence[Measured]) -> float:
+    """Return the variance of a number of the highest modes that were adopted, waves squared; 0 where none were."""
+    groups = [group for group in MODE_GROUPS.values() if group.last in fits[0].noll]
+    if not groups:
+        return 0.0
+    at = np.flatnonzero(np.isin(fits[0].noll, groups[-1].noll))
+    squares = [one.values[at] ** 2 - np.diag(one.covariance)[at] for one in fits]
+    return max(float(np.mean(squares)), 0.0)
+
+
+def likely(test: ScoreTest, least: float = 0.0) -> Floats:
     """Return the numbers (m, n) of a test by m independent standard deviations, whose squares sum to their second moments.
 
-    They have a normal prior, whose variance has the largest marginal likelihood. None if this variance is 0.
+    They have a normal prior, whose variance has the largest marginal likelihood above a least one. None if it is 0.
     """
     information, vectors = np.linalg.eigh(test.information)
     slopes = vectors.T @ test.slope
@@ -77,9 +92,9 @@ def likely(test: ScoreTest) -> Floats:
         return float(np.sum(np.log(grown) - variance * slopes**2 / grown))
 
     best = minimize_scalar(deficit, bounds=LOG_VARIANCES, method="bounded").x
-    if deficit(best) >= 0:
+    variance = max(least, np.exp(best) / unit if deficit(best) < 0 else 0.0)
+    if not variance:
         return np.empty((0, len(slopes)))
-    variance = np.exp(best) / unit
     posterior = variance / (1 + variance * information)
     means = posterior * slopes
     return np.vstack([vectors @ means, (vectors * np.sqrt(posterior)).T])

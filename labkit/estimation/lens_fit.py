@@ -59,17 +59,19 @@ class LensFit:
     model : the laws, for all observations
     measured : measurements of all observations
     solved : the least-squares solution
-    biases : changes of the estimate due to what the model of the frames lacks: camera parts, or modes
+    bias : change of the estimate due to camera parts that the model of the frames lacks; None if no part is missing
     bias_chi2 : change of chi2 due to the missing parts
     others : probabilities and estimates of other models of the plan: numbers that may be mistaken
+    unknown : changes of the estimate by one standard deviation of independent numbers that the model lacks: modes
     """
 
     model: LensModel
     measured: Measurements
     solved: LeastSquares
-    biases: tuple[Point, ...] = ()
+    bias: Point | None = None
     bias_chi2: float = 0.0
     others: tuple[tuple[float, LensFit], ...] = ()
+    unknown: tuple[Point, ...] = ()
 
     @property
     def theta(self) -> Floats:
@@ -165,10 +167,13 @@ class LensFit:
             there = _sized(combinations, len(lens.theta))
             moved = there @ lens.theta - combinations @ self.theta
             noise += chance * (lens.errors_of(there, k) + np.outer(moved, moved))
-        for bias in self.biases:
-            change = combinations @ bias.theta + own @ bias.own[block]
-            noise = covariance_with_bias(noise, change)
-        return np.asarray(noise)
+        for one in self.unknown:
+            change = combinations @ one.theta + own @ one.own[block]
+            noise += np.outer(change, change)
+        if self.bias is None:
+            return np.asarray(noise)
+        bias = combinations @ self.bias.theta + own @ self.bias.own[block]
+        return covariance_with_bias(noise, bias)
 
     def value(self, kind: str, *name: str | float) -> float:
         """Return the estimate of a column."""

@@ -74,7 +74,7 @@ def test_errors_hold_what_a_part_that_is_missing_would_move() -> None:
     there = lens_of(shifted, plan)
     moved = there.theta - fit.theta
     biased = replace(
-        fit, biases=(Point(moved, fit.solved.point.own),), bias_chi2=there.chi2 - fit.chi2
+        fit, bias=Point(moved, fit.solved.point.own), bias_chi2=there.chi2 - fit.chi2
     )
     widened = covariance_with_bias(noise * biased.birge_ratio**2, moved)
     np.testing.assert_allclose(biased.errors, widened)
@@ -88,7 +88,7 @@ def test_the_sources_of_an_error_with_a_bias_add_up_to_its_variance() -> None:
     every, plan = near_session()
     fit = lens_of(every, plan)
     biased = replace(
-        fit, biases=(Point(0.5 * np.sqrt(np.diag(fit.errors)), fit.solved.point.own),)
+        fit, bias=Point(0.5 * np.sqrt(np.diag(fit.errors)), fit.solved.point.own)
     )
     for k, unit in enumerate(np.eye(len(biased.theta))):
         shares = biased.contributions(unit)

@@ -50,7 +50,8 @@ def test_the_lens_leans_by_what_the_part_would_move(plain: Estimate) -> None:
     biased = with_model_error(plain).lens
     assert plain.lens is not None
     assert biased is not None
-    moves = float(biased.model.best_focus("G") @ biased.biases[0].theta)
+    assert biased.bias is not None
+    moves = float(biased.model.best_focus("G") @ biased.bias.theta)
     # both ranges' defocus grows by as much: the crossing moves by that over the slope at focus, about that of the chord
     (near, *_), (far, *_) = map(true_values, ENDS)
     assert moves == pytest.approx(-MOVED / ((far - near) / (ENDS[1] - ENDS[0])), rel=0.05)
@@ -72,9 +73,10 @@ def test_all_that_a_fit_measures_counts_as_moved(plain: Estimate) -> None:
         *solved.pulls(solved.data.pulled(np.array([moves, moves])))
     )
     assert biased is not None
+    assert biased.bias is not None
     std = np.sqrt(np.diag(plain.lens.errors))
     np.testing.assert_allclose(
-        biased.biases[0].theta / std, wanted / std, atol=0.05
+        biased.bias.theta / std, wanted / std, atol=0.05
     )  # to first order
 
 
@@ -88,9 +90,10 @@ def test_a_part_that_gave_way_to_the_missing_one_is_none_there() -> None:
     )
     biased = with_model_error(replace(found, missing=("smear",), with_missing=without)).lens
     assert biased is not None
+    assert biased.bias is not None
     rows = biased.model.index("part", f"{FILTER}.rows_px2")
     assert biased.theta[rows] == pytest.approx(0.2)
-    assert biased.biases[0].theta[rows] == pytest.approx(-0.2, rel=1e-3)
+    assert biased.bias.theta[rows] == pytest.approx(-0.2, rel=1e-3)
 
 
 def test_a_session_that_lacks_nothing_stays_as_it_is(plain: Estimate) -> None:
