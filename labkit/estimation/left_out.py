@@ -38,8 +38,9 @@ def by_modes_left_out(session: Estimate) -> tuple[Point, ...]:
     lens, tests = session.lens, _tests(session)
     if lens is None or not tests:
         return ()
-    adopted = _strength([session.fits[k].optimum.measured for k in tests])
-    deviations = likely(reduce(ScoreTest.__add__, tests.values()), adopted)
+    measured = {k: session.fits[k].optimum.measured for k in tests}
+    every = reduce(ScoreTest.__add__, tests.values())
+    deviations = standard_deviations(every, _strength([*measured.values()]))
     if not len(deviations):
         return ()
     rows = [session.row(k) for k in tests]
@@ -49,9 +50,8 @@ def by_modes_left_out(session: Estimate) -> tuple[Point, ...]:
     moved = np.zeros((len(deviations), *lens.measured.values.shape))
     for k, test in tests.items():
         assert test.moves is not None
-        measured = session.fits[k].optimum.measured
         by_number = [
-            replace(measured, values=change).labelled(lens.model.parts).values
+            replace(measured[k], values=change).labelled(lens.model.parts).values
             for change in test.moves
         ]
         moved[:, session.row(k)] = deviations @ np.array(by_number)
@@ -77,10 +77,10 @@ def _strength(fits: Sequence[Measured]) -> float:
     return max(float(np.mean(squares)), 0.0)
 
 
-def likely(test: ScoreTest, least: float = 0.0) -> Floats:
-    """Return the numbers (m, n) of a test by m independent standard deviations, whose squares sum to their second moments.
+def standard_deviations(test: ScoreTest, least: float = 0.0) -> Floats:
+    """Return m independent standard deviations (m, n) of a test's numbers from 0; the first is their mean.
 
-    They have a normal prior, whose variance has the largest marginal likelihood above a least one. None if it is 0.
+    The numbers have a normal prior, whose variance has the largest marginal likelihood above a least one. If that is 0, m is 0.
     """
     information, vectors = np.linalg.eigh(test.information)
     slopes = vectors.T @ test.slope

@@ -155,7 +155,7 @@ class Settings:
 
     # camera: which of its parts are fitted
     part_chance: float = 5e-5
-    """Probability of the gain that a part, or a group of modes, must have, if it is absent: once in 20 000 sessions."""
+    """Probability of the gain that a part, or modes, must have, if they are absent: once in 20 000 sessions."""
     deciding_tiles: int = 9
     """Number of tiles of each photograph that decide about parts and modes: middle, corners and sides of a frame."""
 

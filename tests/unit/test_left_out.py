@@ -7,7 +7,7 @@ import pytest
 
 from labkit.estimation.doubts import with_model_error
 from labkit.estimation.estimate import Estimate
-from labkit.estimation.left_out import by_modes_left_out, likely
+from labkit.estimation.left_out import by_modes_left_out, standard_deviations
 from labkit.estimation.local import Found
 from labkit.estimation.scores import ScoreTest
 from tests.lens_samples import best_focus
@@ -37,7 +37,7 @@ def session(gain: float) -> Estimate:
 
 def moved(of: ScoreTest) -> np.ndarray:
     """Return the RMS of what each number may be."""
-    return np.asarray(np.sqrt(np.sum(likely(of) ** 2, axis=0)))
+    return np.asarray(np.sqrt(np.sum(standard_deviations(of) ** 2, axis=0)))
 
 
 @pytest.mark.parametrize("gain", [5.0, 12.0, 100.0])
@@ -49,13 +49,13 @@ def test_numbers_alike_shrink_as_stein_has_it(gain: float) -> None:
 
 
 def test_numbers_that_chance_explains_are_none() -> None:
-    assert likely(told(2.9)).shape == (0, 6)
+    assert standard_deviations(told(2.9)).shape == (0, 6)
     assert by_modes_left_out(session(0.5)) == ()
 
 
 def test_the_likeliest_numbers_come_first() -> None:
     test = ScoreTest(np.array([4000.0, 100.0]), np.diag([1e6, 1e3]), one_sided=False)
-    mean = likely(test)[0]
+    mean = standard_deviations(test)[0]
     assert 0 < mean[0] < 4000 / 1e6
     assert 0 < mean[1] < 100 / 1e3
 
@@ -69,7 +69,7 @@ def test_best_focus_allows_for_what_the_modes_move() -> None:
     by = [float(plain.lens.model.best_focus("G") @ one.theta) for one in widened.unknown]
     # defocus of all fits moves alike: best focus by that over the slope of defocus
     (near, *_), (far, *_) = true_values(FOCUS_MM - 1), true_values(FOCUS_MM + 1)
-    mm = 0.3 * np.linalg.norm(likely(four).sum(axis=1)) / ((far - near) / 2)
+    mm = 0.3 * np.linalg.norm(standard_deviations(four).sum(axis=1)) / ((far - near) / 2)
     assert np.hypot.reduce(by) == pytest.approx(mm, rel=0.05)
     before, after = best_focus(plain.lens, "G"), best_focus(widened, "G")
     assert after.value == before.value
@@ -81,7 +81,7 @@ def test_beyond_adopted_modes_the_next_ones_are_as_strong() -> None:
     variance = (0.5 * STD) ** 2
     unseen = ScoreTest(np.zeros(2), np.diag([1e-3, 1e3]) / STD**2, one_sided=False)
     squares = [variance, variance / (1 + 1e3 * variance / STD**2)]
-    root = np.sqrt(np.sum(likely(unseen, variance) ** 2, axis=0))
+    root = np.sqrt(np.sum(standard_deviations(unseen, variance) ** 2, axis=0))
     np.testing.assert_allclose(root, np.sqrt(squares), rtol=1e-3)
 
 

@@ -29,7 +29,10 @@ def test_a_range_at_a_wrong_optimum_is_predicted_by_the_other_ranges() -> None:
     ]
     fit = lens_of(off, stated(60.0, 4.0))
     by_ranges = predicted_by_other_stations(fit)
-    np.testing.assert_allclose(by_ranges[:, 1], np.where(near, 0.07, 0.02), atol=1e-3)
+    # measured 2.4e-10: the modes' priors pull
+    np.testing.assert_allclose(
+        by_ranges[:, 1], np.where(near, 0.07, 0.02), rtol=0, atol=5e-10
+    )
 
 
 @pytest.mark.parametrize(

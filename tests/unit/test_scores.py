@@ -183,7 +183,8 @@ def test_a_fit_without_modes_is_off_by_what_they_move() -> None:
     moved = (off.measured.values - plain.measured.values) / std
     assert test.moves is not None
     assert np.abs(moved).max() > 0.5
-    np.testing.assert_allclose(-waves @ test.moves / std, moved, atol=0.1)
+    # measured 0.030: the likelihood is no parabola
+    np.testing.assert_allclose(-waves @ test.moves / std, moved, atol=0.06)
 
 
 def test_a_lens_without_higher_modes_shows_none() -> None:
