@@ -1,4 +1,4 @@
-"""Distortion and lateral colour of a session's results, and their numbers in the corners of the frame."""
+"""Distortion, lateral colour and tilt of a session's results, and their numbers in the corners of the frame."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import numpy as np
 from labkit.field.geometry import FieldGeometry, fit_geometry
 from labkit.field.limits import POINTS, Numbers
 from labkit.field.places import field_points
+from labkit.field.session_tilt import session_tilt
+from labkit.field.target_tilt import SeparatedTilt
 from labkit.field.tile_places import TileGrid, tile_places
 from labkit.optics.field import FieldFrame
 from labkit.plan import leading_channel
@@ -29,6 +31,17 @@ def session_geometry(results: Results) -> FieldGeometry | None:
     grid = TileGrid(target.grid, target.pitch_mm, (target.size_mm, target.size_mm))
     leading = leading_channel(results.channels)
     return fit_geometry(results.field.frame, grid, places, results.thin_lens, leading)
+
+
+def camera_tilt(results: Results, geometry: FieldGeometry | None) -> SeparatedTilt | None:
+    """Return the slope of focus that is the camera's, without the target's tilt; None where the tiles' places do not show it."""
+    if geometry is None or results.field is None:
+        return None
+    lens, stated = results.lens, results.plan.lens.stated_focal_length
+    focal = stated if lens is None else lens.focal_length
+    return session_tilt(
+        results, results.field, geometry, results.thin_lens, focal.std / focal.value
+    )
 
 
 def corner_numbers(geometry: FieldGeometry) -> dict[str, Numbers]:

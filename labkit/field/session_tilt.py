@@ -9,6 +9,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from labkit.field.geometry import FieldGeometry
+from labkit.field.surfaces import focus_rows, um_relative_std
 from labkit.field.target_tilt import SeparatedTilt, TargetTilts, sensor_tilt, target_tilts
 from labkit.optics.field import FieldModel
 from labkit.optics.lens import ThinLens
@@ -37,7 +38,11 @@ class FocusSlopes:
 
 
 def session_tilt(
-    fits: Iterable[Wavefront], model: FieldModel, geometry: FieldGeometry, lens: ThinLens
+    fits: Iterable[Wavefront],
+    model: FieldModel,
+    geometry: FieldGeometry,
+    lens: ThinLens,
+    focal_relative_std: float = 0.0,
 ) -> SeparatedTilt | None:
     """Separate the slopes of focus of a session's ranges into the camera's and the target's.
 
@@ -47,12 +52,13 @@ def session_tilt(
     model : their field
     geometry : of the tiles' places
     lens : of the target's image
+    focal_relative_std : relative standard error of its focal length
 
     Returns
     -------
     None without a known range that has slopes
     """
-    tilts = target_tilts(geometry, lens)
+    tilts = target_tilts(geometry, lens, focal_relative_std)
     slopes = focus_slopes(fits, model)
     both = [r for r in slopes.ranges_mm if r is not None and r in geometry.model.ranges_mm]
     if not both:
@@ -70,6 +76,7 @@ def focus_slopes(fits: Iterable[Wavefront], model: FieldModel) -> FocusSlopes:
 
     Each range and channel has a focus of its own; the shape of the focal surface but for its
     slope is the model's. Errors are those of the tiles' fits, larger where tiles scatter more.
+    Those of the shape and of the cone are common to all ranges.
 
     Parameters
     ----------
@@ -86,15 +93,36 @@ def focus_slopes(fits: Iterable[Wavefront], model: FieldModel) -> FocusSlopes:
         for range_mm, tiles in by_range.items()
         if (slope := _slope(tiles, model)) is not None
     }
+    slopes = found.values()
+    value = np.array([one.value for one in slopes]).reshape(-1, 2)
+    by_shape = np.array([one.by_shape for one in slopes]).reshape(-1, model.waves.size)
+    own = np.asarray(block_diag(*[one.covariance for one in slopes]))
+    covariance = own + by_shape @ model.covariance @ by_shape.T
+    um = model.um_per_wave * value
+    cone = um_relative_std(model) * um.ravel()
     return FocusSlopes(
-        tuple(found),
-        np.array([value for value, _ in found.values()]).reshape(-1, 2),
-        np.asarray(block_diag(*[covariance for _, covariance in found.values()])),
+        tuple(found), um, model.um_per_wave**2 * covariance + np.outer(cone, cone)
     )
 
 
-def _slope(fits: Sequence[Wavefront], model: FieldModel) -> tuple[Floats, Floats] | None:
-    """Return the slope (2,) of focus, um/mm, of one range and its covariance; None where tiles do not determine a plane."""
+@dataclass(frozen=True, eq=False)
+class _Slope:
+    """The slope of defocus of one range, waves RMS for each mm.
+
+    Parameters
+    ----------
+    value : (2,) down and right
+    covariance : (2, 2) with the model's shape known
+    by_shape : (2, coefficients) derivative by the model's coefficients
+    """
+
+    value: Floats
+    covariance: Floats
+    by_shape: Floats
+
+
+def _slope(fits: Sequence[Wavefront], model: FieldModel) -> _Slope | None:
+    """Return the slope of defocus of one range; None where tiles do not determine a plane."""
     channels = sorted({fit.channel for fit in fits})
     middles = [fit.placement.centre_px for fit in fits if fit.placement is not None]
     places = np.array(middles)
@@ -106,36 +134,36 @@ def _slope(fits: Sequence[Wavefront], model: FieldModel) -> tuple[Floats, Floats
     at = [fit.noll.index(DEFOCUS) for fit in fits]
     waves = np.array([fit.waves[k] for fit, k in zip(fits, at, strict=True)])
     std = np.sqrt([fit.covariance[k, k] for fit, k in zip(fits, at, strict=True)])
-    curved = _without_slopes(model)
-    shape = [curved.modes(f.channel, p)[0] for f, p in zip(fits, places, strict=True)]
-    left = waves - np.array(shape)[:, model.noll.index(DEFOCUS)]
+    shape = [_shape(model, f.channel, p) for f, p in zip(fits, places, strict=True)]
+    left = waves - shape @ model.waves.ravel()
     weighted = rows / std[:, None]
     covariance = np.asarray(np.linalg.inv(weighted.T @ weighted), float)
-    numbers = covariance @ weighted.T @ (left / std)
+    solving = covariance @ weighted.T / std
+    numbers = solving @ left
     square = float((((left - rows @ numbers) / std) ** 2).sum())
     scale = max(square / (len(rows) - rows.shape[1]), 1.0)
-    um = model.um_per_wave
-    return um * numbers[:2], um**2 * scale * covariance[:2, :2]
+    return _Slope(numbers[:2], scale * covariance[:2, :2], -solving[:2] @ shape)
 
 
-def _without_slopes(model: FieldModel) -> FieldModel:
-    """Return a field whose defocus has no slope."""
-    waves = model.waves.copy()
-    slopes = [model.field.index(k) for k in SLOPES if k in model.field]
-    waves[:, slopes, model.noll.index(DEFOCUS)] = 0.0
-    return replace(model, waves=waves)
+def _shape(model: FieldModel, channel: str, place_px: Floats) -> Floats:
+    """Return (coefficients,): the defocus at a place, but for its slope, as a linear combination of the model's coefficients."""
+    row = focus_rows(model, channel, place_px)
+    slopes = [k for k in SLOPES if k in model.field]
+    row[[model.index(channel, k, DEFOCUS) for k in slopes]] = 0.0
+    return row
 
 
 def _tilts_at(tilts: TargetTilts, ranges_mm: Sequence[float]) -> TargetTilts:
     """Return the target's tilts at some of the ranges."""
     pairs = _pairs(tilts.ranges_mm, ranges_mm)
     at = [tilts.ranges_mm.index(r) for r in ranges_mm]
-    return TargetTilts(
-        tuple(ranges_mm),
-        tilts.depth_per_mm[at],
-        tilts.covariance[np.ix_(pairs, pairs)],
-        tilts.pupil_to_image_mm[at],
-        tilts.um[at],
+    return replace(
+        tilts,
+        ranges_mm=tuple(ranges_mm),
+        depth_per_mm=tilts.depth_per_mm[at],
+        covariance=tilts.covariance[np.ix_(pairs, pairs)],
+        pupil_to_image_mm=tilts.pupil_to_image_mm[at],
+        um=tilts.um[at],
     )
 
 

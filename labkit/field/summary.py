@@ -22,8 +22,11 @@ from labkit.field.illumination import RelativeIllumination
 from labkit.field.limits import Judged, judge_limits
 from labkit.field.mount import ScrewMove, level
 from labkit.field.places import azimuth_of, detail_deg, field_points
-from labkit.field.session_geometry import corner_numbers, session_geometry
-from labkit.field.session_tilt import session_tilt
+from labkit.field.session_geometry import (
+    camera_tilt,
+    corner_numbers,
+    session_geometry,
+)
 from labkit.field.surfaces import Surface, focus_um
 from labkit.field.symmetry import Share
 from labkit.field.target_tilt import SeparatedTilt
@@ -169,9 +172,7 @@ def summarise_field(results: Results, channel: str | None = None) -> FieldSummar
     terms = {name: lens_terms(model, name) for name in model.channels}
     geometry = session_geometry(results)
     others = {} if geometry is None else corner_numbers(geometry)
-    tilt = None
-    if geometry is not None:
-        tilt = session_tilt(results, model, geometry, results.thin_lens)
+    tilt = camera_tilt(results, geometry)
     slope = terms[leading].tilt.slope if tilt is None else tilt.slope
     sign_open = sign_is_open(results)
     told = not sign_open and plan.mount.screws_mm is not None

@@ -50,6 +50,7 @@ class TargetTilts:
     covariance : (2 stations, 2 stations) of `depth_per_mm.ravel()`
     pupil_to_image_mm : (stations,) of the angles; nan for an unknown range
     um : (stations,) slope of focus for each unit of g, µm; nan for an unknown range
+    um_relative_std : relative standard error of `um`, common to all ranges
     """
 
     ranges_mm: tuple[float | None, ...]
@@ -57,6 +58,7 @@ class TargetTilts:
     covariance: Floats
     pupil_to_image_mm: Floats
     um: Floats
+    um_relative_std: float = 0.0
 
     @property
     def angles_deg(self) -> list[tuple[Uncertain, Uncertain]]:
@@ -79,7 +81,8 @@ class TargetTilts:
     def focus_covariance(self) -> Floats:
         """(2 stations, 2 stations) of `focus_um_per_mm.ravel()`."""
         each = np.repeat(self.um, 2)
-        return np.asarray(np.outer(each, each) * self.covariance)
+        lens = self.um_relative_std * self.focus_um_per_mm.ravel()
+        return np.asarray(np.outer(each, each) * self.covariance + np.outer(lens, lens))
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,8 +139,13 @@ class SeparatedTilt:
         return self.p_value < CONTRADICTED_P
 
 
-def target_tilts(geometry: FieldGeometry, lens: ThinLens) -> TargetTilts:
-    """Return the target's tilts against the sensor at all ranges of a fit."""
+def target_tilts(
+    geometry: FieldGeometry, lens: ThinLens, focal_relative_std: float = 0.0
+) -> TargetTilts:
+    """Return the target's tilts against the sensor at all ranges of a fit.
+
+    focal_relative_std : relative standard error of the lens's focal length, to whose square the slope of focus is proportional
+    """
     model = geometry.model
     ranges = np.array([nan if r is None else r for r in model.ranges_mm])
     known = np.isfinite(ranges)
@@ -154,7 +162,12 @@ def target_tilts(geometry: FieldGeometry, lens: ThinLens) -> TargetTilts:
     depth, covariance = geometry.linear(gradients)
     um = 1e3 * magnification**2 * model.distances_mm
     return TargetTilts(
-        model.ranges_mm, depth.reshape(-1, 2), covariance, pupil_to_image, um
+        model.ranges_mm,
+        depth.reshape(-1, 2),
+        covariance,
+        pupil_to_image,
+        um,
+        2 * focal_relative_std,
     )
 
 

@@ -13,8 +13,7 @@ import numpy as np
 from labkit.errors import DataError, InputError
 from labkit.field.mount import KnownMove, Screws, check_move
 from labkit.field.pair import Pair
-from labkit.field.session_geometry import session_geometry
-from labkit.field.session_tilt import session_tilt
+from labkit.field.session_geometry import camera_tilt, session_geometry
 from labkit.field.split import Split, check_angles, split
 from labkit.field.terms import LensTerms, lens_terms
 from labkit.field.tiles import sign_is_open
@@ -47,13 +46,8 @@ def tilt_of(results: Results, channel: str | None = None) -> Pair:
         raise DataError(
             f"{_name(results)}: the sign of the tilt is open, as of one range: photograph the target at two ranges or more"
         )
-    geometry = session_geometry(results)
-    if geometry is not None:
-        model = _field(results)
-        camera = session_tilt(results, model, geometry, results.thin_lens)
-        if camera is not None:
-            return camera.slope
-    return terms.tilt.slope
+    camera = camera_tilt(results, session_geometry(results))
+    return terms.tilt.slope if camera is None else camera.slope
 
 
 MISALIGNMENTS: Mapping[str, Callable[[Results, str | None], Pair]] = {

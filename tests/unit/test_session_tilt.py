@@ -1,5 +1,7 @@
 """The slope of focus at each range of a session, by tiles whose slopes were made."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import kstest
@@ -67,6 +69,34 @@ def test_each_range_has_its_slope() -> None:
     # errors grow where six tiles scatter more than their fits say, which is by chance here
     assert np.std(pulls) == pytest.approx(0.9, abs=0.1)
     assert kstest(np.ravel(pulls) / np.std(pulls), "norm").pvalue > 0.05
+
+
+def test_the_error_of_the_cone_is_common_to_all_ranges() -> None:
+    """A focus in µm is that of the wavefront times the f-number squared: 1 % of 4 is 2 % of every slope."""
+    fits = tiles(SLOPES, np.random.default_rng(2))
+    sure = focus_slopes(fits, a_bowl())
+    unsure = focus_slopes(fits, replace(a_bowl(), f_number_std=0.04))
+    moved = 0.02 * sure.um_per_mm.ravel()
+    assert unsure.um_per_mm == pytest.approx(sure.um_per_mm)
+    assert unsure.covariance - sure.covariance == pytest.approx(np.outer(moved, moved))
+
+
+def test_errors_contain_those_of_the_surface_s_shape() -> None:
+    """A cubic term of the focal surface looks like a slope: all ranges have its error in common."""
+    fits = tiles(SLOPES, np.random.default_rng(3))
+    bowl = a_bowl()
+    known = a_field(np.zeros((1, 10, 12)), std=0.0, order=3)
+    known.waves[:, :6] = bowl.waves
+    at, std = known.index("G", 7, 4), 0.004
+    covariance = np.zeros((120, 120))
+    covariance[at, at] = std**2
+    other = known.waves.copy()
+    other.ravel()[at] += std
+    sure = focus_slopes(fits, known)
+    unsure = focus_slopes(fits, replace(known, covariance=covariance))
+    moved = (focus_slopes(fits, replace(known, waves=other)).um_per_mm - sure.um_per_mm).ravel()
+    assert np.linalg.norm(moved) > 0.1
+    assert unsure.covariance - sure.covariance == pytest.approx(np.outer(moved, moved))
 
 
 def test_fewer_than_three_tiles_in_a_plane_have_no_slope() -> None:

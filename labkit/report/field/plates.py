@@ -17,8 +17,11 @@ from labkit.field.geometry import FieldGeometry
 from labkit.field.illumination import RelativeIllumination
 from labkit.field.limits import judge_limits
 from labkit.field.pair import Pair
-from labkit.field.session_geometry import corner_numbers, session_geometry
-from labkit.field.session_tilt import session_tilt
+from labkit.field.session_geometry import (
+    camera_tilt,
+    corner_numbers,
+    session_geometry,
+)
 from labkit.field.surfaces import ASTIGMATISM, focus_um
 from labkit.field.tables import coverage
 from labkit.field.target_tilt import SeparatedTilt
@@ -117,10 +120,7 @@ class FieldArtist:
     @cached_property
     def camera_tilt(self) -> SeparatedTilt | None:
         """The slope of focus that is the camera's, without the target's tilt; None where the places do not show it."""
-        if self.geometry is None:
-            return None
-        lens = self.results.thin_lens
-        return session_tilt(self.results, self.model, self.geometry, lens)
+        return camera_tilt(self.results, self.geometry)
 
     @property
     def tilt(self) -> Pair:
