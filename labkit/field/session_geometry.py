@@ -34,7 +34,7 @@ def session_geometry(results: Results) -> FieldGeometry | None:
 
 
 def camera_tilt(results: Results, geometry: FieldGeometry | None) -> SeparatedTilt | None:
-    """Return the slope of focus that is the camera's, without the target's tilt; None where the tiles' places do not show it."""
+    """Return the slope of focus that is the camera's, not the target's; None where the tiles' places do not show it."""
     if geometry is None or results.field is None:
         return None
     lens, stated = results.lens, results.plan.lens.stated_focal_length

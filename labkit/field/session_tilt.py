@@ -146,7 +146,7 @@ def _slope(fits: Sequence[Wavefront], model: FieldModel) -> _Slope | None:
 
 
 def _shape(model: FieldModel, channel: str, place_px: Floats) -> Floats:
-    """Return (coefficients,): the defocus at a place, but for its slope, as a linear combination of the model's coefficients."""
+    """Return (coefficients,): defocus at a place, but for its slope, as a linear combination of the model's coefficients."""
     row = focus_rows(model, channel, place_px)
     slopes = [k for k in SLOPES if k in model.field]
     row[[model.index(channel, k, DEFOCUS) for k in slopes]] = 0.0

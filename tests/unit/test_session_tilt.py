@@ -94,7 +94,9 @@ def test_errors_contain_those_of_the_surface_s_shape() -> None:
     other.ravel()[at] += std
     sure = focus_slopes(fits, known)
     unsure = focus_slopes(fits, replace(known, covariance=covariance))
-    moved = (focus_slopes(fits, replace(known, waves=other)).um_per_mm - sure.um_per_mm).ravel()
+    moved = (
+        focus_slopes(fits, replace(known, waves=other)).um_per_mm - sure.um_per_mm
+    ).ravel()
     assert np.linalg.norm(moved) > 0.1
     assert unsure.covariance - sure.covariance == pytest.approx(np.outer(moved, moved))
 

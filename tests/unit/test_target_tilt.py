@@ -61,7 +61,7 @@ def some_tilts(std: float) -> TargetTilts:
 
 @pytest.mark.parametrize("share", [1.0, 0.0])
 def test_ranges_tell_a_leaning_target_from_a_leaning_sensor(share: float) -> None:
-    """Pulls over 300 sessions, the lens's focal length 2 % off; where focus does not follow the perspective, the tilt is right."""
+    """Pulls over 300 sessions, the focal length 2 % off; where focus does not follow the perspective, the tilt is right."""
     rng = np.random.default_rng(1)
     errors = 0.05
     tilt = np.array([2.4, -1.5])
