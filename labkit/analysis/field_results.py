@@ -51,11 +51,11 @@ def as_field(session: Estimate, plan: Plan) -> FieldModel | None:
         model.noll,
         (common @ lens.theta + waves).reshape(shape),
         _covariance(lens, common, own),
-        tuple(_wavelength_nm(plan, channel) for channel in model.channels),
+        tuple(_wavelength_nm(plan, lens, channel) for channel in model.channels),
         plan.reference_wavelength_nm,
         cone,
         cone_std,
-        tuple(lens.scale_std(_innermost(lens, channel), 0.0) for channel in model.channels),
+        tuple(lens.scale_std(_innermost(lens, channel)) for channel in model.channels),
         _rim(session, lens),
     )
 
@@ -160,5 +160,7 @@ def _innermost(lens: LensFit, channel: str | None = None) -> int:
     return min(among, key=lambda k: np.hypot(*readings[k].place))
 
 
-def _wavelength_nm(plan: Plan, channel: str) -> float:
-    return next(one.wavelength_nm for one in plan.channel if one.name == channel)
+def _wavelength_nm(plan: Plan, lens: LensFit, channel: str) -> float:
+    """Return the estimated wavelength of a channel."""
+    stated_nm = next(one.wavelength_nm for one in plan.channel if one.name == channel)
+    return stated_nm * float(np.exp(lens.longer(_innermost(lens, channel))))

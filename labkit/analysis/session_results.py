@@ -16,7 +16,6 @@ from labkit.estimation.laws import (
     FOCAL_LENGTH,
     MAGNIFICATION,
     RANGE_ZERO,
-    WAVELENGTH,
 )
 from labkit.estimation.lens_fit import LensFit
 from labkit.estimation.local import residuals
@@ -115,8 +114,7 @@ def _of_session(w: Wavefront, session: Estimate, k: int) -> Wavefront:
     um = blur_per_wave_um(f_number, w.reference_wavelength_nm * 1e-3)
     pull = np.zeros(len(values))
     pull[[at, -2]] = um, um * waves[at]
-    mistake = _mistaken_wavelength(w.channel, lens)
-    light_nm = w.wavelength_nm * float(np.exp(mistake))
+    light_nm = w.wavelength_nm * float(np.exp(lens.longer(session.row(k))))
     lambda_n_um = 1e-3 * light_nm * f_number
     return replace(
         w,
@@ -127,19 +125,9 @@ def _of_session(w: Wavefront, session: Estimate, k: int) -> Wavefront:
         covariance=covariance[:modes, :modes],
         f_number=f_number,
         f_number_std=f_number * float(np.sqrt(covariance[-2, -2])),
-        lambda_n=Uncertain(
-            lambda_n_um, lambda_n_um * lens.scale_std(session.row(k), mistake), "um"
-        ),
+        lambda_n=Uncertain(lambda_n_um, lambda_n_um * lens.scale_std(session.row(k)), "um"),
         blur=Uncertain(um * waves[at], float(np.sqrt(pull @ covariance @ pull)), "um"),
     )
-
-
-def _mistaken_wavelength(channel: str, lens: LensFit) -> float:
-    """Return ln of the estimated over the stated wavelength of a channel if the stated one is a mistake, else 0."""
-    for name in ((channel,), ()):
-        if lens.model.laws.mistaken == (WAVELENGTH, name):
-            return lens.value(WAVELENGTH, *name)
-    return 0.0
 
 
 def as_focus(lens: LensFit, turned: Sequence[LensFit] = ()) -> Focus | None:

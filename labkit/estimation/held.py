@@ -31,7 +31,7 @@ def expanded_about(problem: Problem, start: Start, f_number_std: float) -> Freed
     Returns
     -------
     The Gaussian about the held wavefront, with the log-likelihood of its maximum: to second order, or as the frames have it
-    there if that is less, where a parabola does not hold so far
+    there if that is less, where a parabola does not hold so far; but no less than at the held wavefront
     """
     problem, start = wide_enough(problem, start)
     prior = camera_prior(problem.model.optics, f_number_std)
@@ -46,6 +46,6 @@ def expanded_about(problem: Problem, start: Start, f_number_std: float) -> Freed
     freed = position.freed(HELD_STEPS, True)
     step, _ = freed.expansion.newton(position.precision)
     foreseen = freed.solution.objective + 0.5 * float(step @ freed.expansion.gradient)
-    objective = min(foreseen, position.moved(step).objective)
+    objective = max(freed.solution.objective, min(foreseen, position.moved(step).objective))
     solution = replace(freed.solution, objective=objective)
     return replace(freed, solution=solution)

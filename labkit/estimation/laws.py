@@ -97,6 +97,7 @@ class Laws:
     f_number_std : relative, of the working f-number that follows from the lens's conjugates, common to all observations
     f_number_scatter : relative, of each observation's working f-number
     size_scatter : relative, of each observation's size
+    exact_light : whether all channels have the stated wavelengths exactly
     mistaken : column whose stated number is a mistake
     """
 
@@ -105,6 +106,7 @@ class Laws:
     f_number_std: float = 0.0
     f_number_scatter: float = 0.0
     size_scatter: float = SETTINGS.size_floor
+    exact_light: bool = False
     mistaken: Place | None = None
 
     @property

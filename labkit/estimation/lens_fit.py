@@ -256,21 +256,20 @@ class LensFit:
         own = self._own_share(k) @ (self.measured.values[k] - self.solved.predicted[k])
         return value + own, self._with_scatter(whole, k)
 
-    def scale_std(self, k: int, given: float) -> float:
-        """Return the relative standard error of lambda N in observation k, for a given wavelength.
+    def longer(self, k: int) -> float:
+        """Return ln of the estimated over the stated wavelength of observation k."""
+        return float(self.model.longer[self.model.exposures[k]] @ self.theta)
+
+    def scale_std(self, k: int) -> float:
+        """Return the relative standard error of lambda N in observation k.
 
         A cone that errs as the wavelength does leaves lambda N, the scale of diffraction, as it is. Where blurs tell N better
-        than the wavelength is known, the wavelength's error counts; and so does what the estimated differs from the given.
-
-        Parameters
-        ----------
-        given : ln of the given over the stated wavelength
+        than the wavelength is known, the wavelength's error counts.
         """
-        longer = self.model.longer[self.model.exposures[k]]
         slopes = self._true_slopes(k)
-        slopes[-2] += longer
+        slopes[-2] += self.model.longer[self.model.exposures[k]]
         whole = self._with_scatter(self.errors_of(slopes, k), k)
-        return float(np.hypot(np.sqrt(whole[-2, -2]), longer @ self.theta - given))
+        return float(np.sqrt(whole[-2, -2]))
 
     def _true_slopes(self, k: int) -> Floats:
         """Return the derivatives (values, columns) of the `true_values` of observation k."""

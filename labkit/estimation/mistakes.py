@@ -1,4 +1,6 @@
-"""Mistakes in a plan: stated numbers that may be far off, and errors that allow for them.
+"""How well a plan's numbers are known: wavelengths that are exact, numbers that are far off, and errors that allow for both.
+
+The error of a stated wavelength is a typical one: a line or a measured filter has none. Photographs tell which holds.
 
 A mistake is a stated number that is wrong beyond its standard error: another aperture, another colour, another target. The
 photographs determine the cone times the wavelength over the pixel pitch, the size of the target over the pixel pitch, and
@@ -51,30 +53,36 @@ def under(lens: LensFit, column: Place | None) -> LensFit:
     return fit_lens(replace(lens.model, laws=laws), lens.measured)
 
 
-def models(lens: LensFit) -> list[tuple[float, LensFit]]:
-    """Return probability and estimate of all models, with and without a mistake, the most probable first.
+def exact_light(lens: LensFit) -> LensFit:
+    """Return the estimate from the same measurements if all wavelengths are exactly as stated."""
+    laws = replace(lens.model.laws, exact_light=True)
+    return fit_lens(replace(lens.model, laws=laws), lens.measured, lens.solved.point)
 
-    Differences of evidence are divided by the square of the Birge ratio: misfits of all models do not count as evidence.
+
+def models(lens: LensFit) -> list[tuple[float, LensFit]]:
+    """Return probability and estimate of all models, the most probable first.
+
+    Wavelengths are as likely to be exact as they are to have their stated errors; mistakes are rare. The fits of a field's
+    tiles are not asked for mistakes. Differences of evidence are divided by the square of the Birge ratio: misfits of all
+    models do not count as evidence.
     """
     plain = under(lens, None)
-    fits = [plain, *with_mistakes(plain)]
+    right = [plain, exact_light(plain)]
+    mistaken = [] if lens.model.tiled else [f for one in right for f in with_mistakes(one)]
+    fits = [*right, *mistaken]
     evidence = np.array([fit.log_evidence for fit in fits])
     best = fits[int(np.argmax(evidence))]
     weights = np.exp((evidence - evidence.max()) / best.birge_ratio**2)
-    weights[1:] *= SETTINGS.mistake_odds
+    weights[len(right) :] *= SETTINGS.mistake_odds
     found = zip((weights / weights.sum()).tolist(), fits, strict=True)
     return sorted(found, key=lambda one: -one[0])
 
 
 def with_doubts(lens: LensFit) -> LensFit:
-    """Return the estimate with the likeliest mistake if one is nearly sure, else without; errors allow for all others.
-
-    The fits of a field's tiles keep the plan's numbers.
-    """
-    if lens.model.tiled:
-        return lens
+    """Return the likeliest estimate, with a mistake only if one is nearly sure; errors allow for all others."""
     every = models(lens)
-    ((right, plain),) = (one for one in every if one[1].model.laws.mistaken is None)
-    likeliest = plain if right > SETTINGS.mistake_odds else every[0][1]
+    right = [one for one in every if one[1].model.laws.mistaken is None]
+    doubtful = sum(chance for chance, _ in right) > SETTINGS.mistake_odds
+    likeliest = right[0][1] if doubtful else every[0][1]
     others = tuple(one for one in every if one[1] is not likeliest)
     return replace(likeliest, others=others)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from labkit.estimation.climb import Start
-from labkit.estimation.expansion import free_f_number
+from labkit.estimation.expansion import Opened, camera_prior, free_f_number
 from labkit.estimation.held import expanded_about
 from labkit.estimation.settings import SETTINGS
 from labkit.imaging.model import ForwardModel
@@ -45,8 +45,10 @@ def test_next_to_an_optimum_the_parabola_has_its_height_and_its_place(
 def test_far_from_an_optimum_the_parabola_promises_no_more_than_the_photographs_have(
     model: ForwardModel, waves: float
 ) -> None:
-    """Its maximum would be likelier than the optimum, by 300 and by 700."""
-    problem = photographed(model)
+    """Its maximum would be likelier than the optimum, by 300 and by 700; its end is less likely than its begin."""
+    problem, start = photographed(model), moved(waves)
     climbed = free_f_number(problem, Start(TRUTH), F_NUMBER_STD)
-    held = expanded_about(problem, moved(waves), F_NUMBER_STD)
-    assert held.solution.objective < climbed.solution.objective
+    held = expanded_about(problem, start, F_NUMBER_STD)
+    prior = camera_prior(problem.model.optics, F_NUMBER_STD)
+    begun = Opened(problem, problem.drawn(start.state), start.state, *prior)
+    assert begun.objective < held.solution.objective < climbed.solution.objective
