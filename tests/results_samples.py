@@ -63,6 +63,7 @@ LENS = Lens(
     Uncertain(2.874, 0.011),
     FOCUS.pupil_magnification,
     Uncertain(-5.8, 4.0, "mm"),
+    {"R": Uncertain(621.2, 2.1, "nm"), "B": Uncertain(459.4, 1.7, "nm")},
 )
 BUDGET = {
     "best_focus_mm.R": {"photons": 0.3, "calibration": 0.1, "geometry": 0.2, "model": 0.2},

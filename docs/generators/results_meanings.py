@@ -19,7 +19,7 @@ MEANINGS = {
     "wavefronts[].range_mm": "Range as the plan or the CSV states it; null where it is unknown.",
     "wavefronts[].measured_range_mm": "Range at which the rail was read to stand.",
     "wavefronts[].channel": "Channel's name.",
-    "wavefronts[].wavelength_nm": "Channel's wavelength.",
+    "wavefronts[].wavelength_nm": "Estimated wavelength of the channel, or the stated one if the photographs call it exact.",
     "wavefronts[].spectrum": (
         "Its light, `[[nm, share], ...]`, as the plan states it or the photographs call for it, by a few wavelengths of the "
         "same moments. MTF, Strehl ratio, encircled energy and PSFs are of all of it. Null for one wavelength."
@@ -46,7 +46,7 @@ MEANINGS = {
         "Wavelength times f-number, the scale of diffraction on the sensor; null where the fit belongs to no lens."
     ),
     "wavefronts[].lambda_n_um.value": "Value.",
-    "wavefronts[].lambda_n_um.std": "Standard error, which includes that of the stated wavelength.",
+    "wavefronts[].lambda_n_um.std": "Standard error, which includes that of the wavelength.",
     "wavefronts[].blur_um": (
         "Diameter of defocus's geometric blur on the sensor, negative before best focus; null where the fit "
         "belongs to no lens."
@@ -179,6 +179,10 @@ MEANINGS = {
     "lens.range_zero_mm": "True ranges, from the front principal plane, less the stated ones.",
     "lens.range_zero_mm.value": "Value, mm.",
     "lens.range_zero_mm.std": "Standard error, mm.",
+    "lens.wavelengths_nm": "By channel:",
+    "lens.wavelengths_nm.NAME": "Estimated wavelength, or the stated one if the photographs call it exact.",
+    "lens.wavelengths_nm.NAME.value": "Value, nm.",
+    "lens.wavelengths_nm.NAME.std": "Standard error, nm.",
     "budget": "Standard error of each leading number, such as `best_focus_mm.G`, by source; the squares add up:",
     "budget.NAME": "One number's:",
     "budget.NAME.photons": "Light and read noise of the photographs.",
@@ -207,7 +211,7 @@ MEANINGS = {
     "field.lambda_n_um": "Wavelength times f-number in the middle of the frame, of each channel:",
     "field.lambda_n_um.G": "One channel's:",
     "field.lambda_n_um.G.value": "Value.",
-    "field.lambda_n_um.G.std": "Standard error, which includes that of the stated wavelength.",
+    "field.lambda_n_um.G.std": "Standard error, which includes that of the wavelength.",
     "field.pupil": "The pupil's rim over the frame; null where it is round everywhere.",
     "field.pupil.middle": "Rim that all places have in common, as of `wavefronts[].pupil`:",
     "field.pupil.middle.cuts": "Edges that limit it.",

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from labkit.estimation.candidate import mostly_unexplained
 from labkit.estimation.estimate import Estimate
 from labkit.estimation.laws import (
     AXIAL_COLOUR,
@@ -133,7 +132,7 @@ def _covariance(
     if not lens.model.laws.paraxial:
         cone = lens.value(WORKING_F_NUMBER)
         covariance = covariance_with_bias(covariance, np.where(modes, -values * cone, 0.0))
-    if mostly_unexplained(fit.optimum.verdict.accepted for fit in session.fits):
+    if session.incomplete:
         scatter = lens.model.laws.mode_scatter**2
         covariance = covariance + np.diag(np.where(modes, scatter, 0.0))
     return covariance

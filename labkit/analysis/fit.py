@@ -26,6 +26,7 @@ from labkit.analysis.session_results import (
     as_lens,
     as_wavefronts,
     budget,
+    wavelengths_nm,
 )
 from labkit.analysis.steps import Steps
 from labkit.errors import DataError, FitError, InputError, SessionError
@@ -302,7 +303,7 @@ def _results(
 ) -> Results:
     """Make results of all or some of a session's fits. wanted: whether the fits should determine best focus."""
     if fits.lens is not None:
-        fits = replace(fits, lens=with_doubts(fits.lens))
+        fits = replace(fits, lens=with_doubts(fits.lens, explained=not fits.incomplete))
     fits = with_model_error(fits)
     wavefronts, lens, numbers = as_wavefronts(fits), fits.lens, model_parts(fits, plan)
     findings = [*noted, *findings_of(fits, wavefronts, numbers, plan, made.patience_s)]
@@ -313,7 +314,9 @@ def _results(
         plan_sha256=checksum,
         wavefronts=wavefronts,
         focus=focus,
-        lens=None if lens is None else as_lens(lens),
+        lens=None
+        if lens is None
+        else replace(as_lens(lens), wavelengths_nm=wavelengths_nm(lens, plan)),
         budget={} if lens is None else budget(lens),
         model_parts=numbers,
         parts_tried=fits.tried,

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from labkit.estimation.candidate import mostly_unexplained
 from labkit.estimation.doubts import confirmed, shift
 from labkit.estimation.estimate import Estimate, LocalFit
 from labkit.estimation.held_out import pulls_of_tiles
@@ -25,6 +24,7 @@ from labkit.imaging.optics import Optics
 from labkit.optics.known_bias import covariance_with_bias, error_with_bias
 from labkit.optics.lens import TELLING_STD, blur_per_wave_um
 from labkit.optics.wavefront import DEFOCUS
+from labkit.plan import Plan
 from labkit.results import (
     Focus,
     Lens,
@@ -102,7 +102,7 @@ def _of_session(w: Wavefront, session: Estimate, k: int) -> Wavefront:
     assert lens is not None
     values, covariance = lens.posterior(session.row(k))
     modes = len(w.noll)
-    if mostly_unexplained(fit.optimum.verdict.accepted for fit in session.fits):
+    if session.incomplete:
         covariance = covariance + np.diag(lens.model.mode_scatter())
     labels = lens.model.parts
     optics = session.fits[k].optics
@@ -187,6 +187,20 @@ def as_lens(lens: LensFit) -> Lens:
         pupil_magnification(lens),
         lens.uncertain(RANGE_ZERO, unit="mm"),
     )
+
+
+def wavelengths_nm(lens: LensFit, plan: Plan) -> dict[str, Uncertain]:
+    """Return the wavelength of each channel, nm."""
+    channels = [reading.key.channel for reading in lens.model.readings]
+    found = dict[str, Uncertain]()
+    for one in plan.channel:
+        if one.name in channels:
+            k = channels.index(one.name)
+            nm = one.wavelength_nm * float(np.exp(lens.longer(k)))
+            row = lens.model.longer[lens.model.exposures[k]]
+            std = nm * float(np.sqrt(lens.errors_of(row[None])[0, 0]))
+            found[one.name] = Uncertain(nm, std, "nm")
+    return found
 
 
 def budget(lens: LensFit) -> dict[str, dict[str, float]]:

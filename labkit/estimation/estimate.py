@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from labkit.estimation.candidate import Observed, Reading
+from labkit.estimation.candidate import Observed, Reading, mostly_unexplained
 from labkit.estimation.lens_fit import LensFit
 from labkit.estimation.local import Found, Optimum
 from labkit.estimation.observation import Observation
@@ -84,6 +84,11 @@ class Estimate:
     def trusted(self) -> tuple[int, ...]:
         """The members, or all fits if there is no lens."""
         return self.members or tuple(range(len(self.fits)))
+
+    @property
+    def incomplete(self) -> bool:
+        """Return whether the model is incomplete for all photographs: residuals of most fits are not noise alone."""
+        return mostly_unexplained(fit.optimum.verdict.accepted for fit in self.fits)
 
     def row(self, k: int) -> int:
         """Return the place of fit k, which contributes to the lens, among the lens's observations."""

@@ -59,18 +59,25 @@ def exact_light(lens: LensFit) -> LensFit:
     return fit_lens(replace(lens.model, laws=laws), lens.measured, lens.solved.point)
 
 
-def models(lens: LensFit) -> list[tuple[float, LensFit]]:
+def models(lens: LensFit, explained: bool = True) -> list[tuple[float, LensFit]]:
     """Return probability and estimate of all models, the most probable first.
 
     Wavelengths are as likely to be exact as they are to have their stated errors; mistakes are rare. The fits of a field's
     tiles are not asked for mistakes. Differences of evidence are divided by the square of the Birge ratio: misfits of all
     models do not count as evidence.
+
+    Parameters
+    ----------
+    lens : the estimate, with or without a mistake
+    explained : whether most fits are explained; otherwise what the frames' model lacks moves wavelengths, and tells nothing
     """
     plain = under(lens, None)
-    right = [plain, exact_light(plain)]
+    right = [exact_light(plain), plain]
     mistaken = [] if lens.model.tiled else [f for one in right for f in with_mistakes(one)]
     fits = [*right, *mistaken]
     evidence = np.array([fit.log_evidence for fit in fits])
+    if not explained:
+        evidence[: len(right)] = evidence[: len(right)].max()
     best = fits[int(np.argmax(evidence))]
     weights = np.exp((evidence - evidence.max()) / best.birge_ratio**2)
     weights[len(right) :] *= SETTINGS.mistake_odds
@@ -78,9 +85,9 @@ def models(lens: LensFit) -> list[tuple[float, LensFit]]:
     return sorted(found, key=lambda one: -one[0])
 
 
-def with_doubts(lens: LensFit) -> LensFit:
-    """Return the likeliest estimate, with a mistake only if one is nearly sure; errors allow for all others."""
-    every = models(lens)
+def with_doubts(lens: LensFit, explained: bool = True) -> LensFit:
+    """Return the likeliest estimate, with a mistake only if one is nearly sure; errors allow for all others. See `models`."""
+    every = models(lens, explained)
     right = [one for one in every if one[1].model.laws.mistaken is None]
     doubtful = sum(chance for chance, _ in right) > SETTINGS.mistake_odds
     likeliest = right[0][1] if doubtful else every[0][1]

@@ -220,7 +220,7 @@ def _rms(focused: Sequence[ChannelFocus]) -> Card:
         (b.channel, (_of(b, b.best.rms_nm), _of(b, b.best.rms_own_waves, least=4)))
         for b in focused
     ]
-    light = ", ".join(f"{b.channel} {b.photographed.wavelength_nm:g} nm" for b in focused)
+    light = ", ".join(f"{b.channel} {b.photographed.wavelength_nm:.4g} nm" for b in focused)
     note = (
         f"Path difference over the pupil; waves are of each channel's own light, {light}."
     )

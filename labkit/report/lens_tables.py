@@ -207,6 +207,7 @@ def lens_table(results: Results) -> Table | None:
         return None
     stated = plan.lens
     zero = Uncertain(0.0, plan.fit.range_zero_std_mm)
+    light = {one.name: one.stated_wavelength for one in plan.channel}
     cones = {channel: working_f_number(results, channel) for channel in results.channels}
     rows = (
         _row("Focal length", "mm", lens.focal_length, stated.stated_focal_length),
@@ -216,6 +217,7 @@ def lens_table(results: Results) -> Table | None:
         _row("True ranges less stated", "mm", lens.range_zero, zero),
         *_rows_by_channel("Best focus, mm", focus.best_focus_mm if focus else {}),
         *_rows_by_channel("f-number at the sensor", cones),
+        *_rows_by_channel("Wavelength, nm", lens.wavelengths_nm, light),
     )
     columns = (
         Column("quantity", text=True),
@@ -276,10 +278,12 @@ def whole_std(shares: dict[str, float]) -> float:
     return sqrt(sum(share**2 for share in shares.values()))
 
 
-def _rows_by_channel(name: str, measured: Mapping[str, Uncertain]) -> list[Row]:
-    """Return a row for each channel, the first with the name."""
+def _rows_by_channel(
+    name: str, measured: Mapping[str, Uncertain], known: Mapping[str, Uncertain] = {}
+) -> list[Row]:
+    """Return a row for each channel, the first with the name. known: as stated."""
     rows = [
-        _row("" if k else name, channel, number)
+        _row("" if k else name, channel, number, known.get(channel))
         for k, (channel, number) in enumerate(measured.items())
     ]
     return [Row(row.cells, first=k == 0) for k, row in enumerate(rows)]

@@ -156,6 +156,9 @@ class LensEntry(Entry):
     f_number: Annotated[Uncertain, uncertain("", PositiveEntry)]
     pupil_magnification: Annotated[Uncertain, uncertain("", PositiveEntry)]
     range_zero: Millimetres = Field(alias="range_zero_mm")
+    wavelengths_nm: dict[Name, Annotated[Uncertain, uncertain("nm", PositiveEntry)]] = (
+        Field(default_factory=dict)
+    )
     modes: Any = None
     pupil: Any = None
 

@@ -228,7 +228,7 @@ def test_every_key_of_the_contract_is_written(contract: dict[str, Any]) -> None:
     assert entry["schema"] == 3
     for part in ("optimum", "model") if contract["schema"] >= 2 else ():
         assert contract["wavefronts"][0][part].keys() <= written[part].keys()
-    assert entry["lens"].keys() == {*CONTRACT_2["lens"], "modes", "pupil"}
+    assert entry["lens"].keys() == {*CONTRACT_2["lens"], "modes", "pupil", "wavelengths_nm"}
     assert entry["lens"]["modes"] == {"orders": [], "noll": [4, 8]}
     assert entry["lens"]["pupil"] == {
         "blades": None,
