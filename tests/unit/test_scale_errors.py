@@ -7,8 +7,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from labkit.analysis.session_results import wavelengths_nm
 from labkit.estimation.lens_fit import LensFit
-from labkit.estimation.mistakes import with_doubts
+from labkit.estimation.mistakes import models, with_doubts
+from labkit.plan import Plan
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 from tests.lens_samples import (
@@ -17,10 +19,13 @@ from tests.lens_samples import (
     laws,
     lens_of,
     measured,
+    measured_of,
     members,
     observed,
     stated,
+    with_values,
 )
+from tests.plans import SMALL, plan_text
 
 NEAR = tuple(np.linspace(470.0, 494.0, 5).tolist())
 FOCUS_MM, FOCAL_MM, F_NUMBER = 482.0, 60.0, 4.0
@@ -59,6 +64,17 @@ def drawn_errors(
     return found - [cones[c] + light[c] for c in COLOURS], np.array(std)
 
 
+def lens_in(light: dict[str, float]) -> LensFit:
+    """The lens of a session without noise, in light longer than stated, by ln of the ratio."""
+    plan = stated(FOCAL_MM, F_NUMBER, wavelength_std=dict.fromkeys(COLOURS, FILTER_STD))
+    seen = []
+    for one in members(NEAR, FOCUS_MM, FOCAL_MM, F_NUMBER):
+        log = light.get(one.reading.key.channel, 0.0)
+        waves, cone, size = measured_of(one).values
+        seen.append(with_values(one, np.array([waves * np.exp(-log), cone + log, size])))
+    return lens_of(seen, plan)
+
+
 @pytest.mark.parametrize("engraved_std", [1e-3, 0.03])
 def test_lambda_n_errs_by_as_much_as_it_says(engraved_std: float) -> None:
     """Both where the photographs tell lambda N only, and where the engraving tells N better than the filter its wavelength."""
@@ -91,3 +107,25 @@ def test_wavelengths_that_are_exact_are_taken_as_such(
         wanted.append(np.sqrt(np.mean(errors**2)))
         assert np.sqrt(np.mean((errors / std) ** 2)) < 1
     assert wanted[1] < most * wanted[0]
+
+
+def test_results_have_the_wavelengths_that_the_photographs_tell() -> None:
+    lens = with_doubts(lens_in({"R": 0.02, "B": -0.01}))
+    assert not lens.model.laws.exact_light
+    stated_nm = {"R": 620.0, "G": 540.0, "B": 460.0}
+    channels = [{"name": name, "wavelength_nm": nm} for name, nm in stated_nm.items()]
+    plan = Plan.parse(plan_text(SMALL, {"channel": channels}), "")
+    found = wavelengths_nm(lens, plan)
+    for channel, log in {"R": 0.02, "G": 0.0, "B": -0.01}.items():
+        true_nm = stated_nm[channel] * np.exp(log)
+        assert abs(found[channel].value - true_nm) < 2 * found[channel].std
+        assert found[channel].std < FILTER_STD * true_nm
+
+
+def test_an_incomplete_model_does_not_tell_wavelengths() -> None:
+    """Residuals of a model that lacks something move wavelengths as wrong filters do."""
+    lens = lens_in({"R": 0.02, "B": -0.01})
+    assert with_doubts(lens, explained=False).model.laws.exact_light
+    every = models(lens, explained=False)
+    exact, other = (chance for chance, one in every if not one.model.laws.mistaken)
+    assert exact == pytest.approx(other)
