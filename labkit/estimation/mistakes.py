@@ -1,6 +1,6 @@
 """How well a plan's numbers are known: wavelengths that are exact, numbers that are far off, and errors that allow for both.
 
-The error of a stated wavelength is a typical one: a line or a measured filter has none. Photographs tell which holds.
+A wavelength that is stated without an error has a typical one, or none, as a spectral line. Photographs tell which holds.
 
 A mistake is a stated number that is wrong beyond its standard error: another aperture, another colour, another target. The
 photographs determine the cone times the wavelength over the pixel pitch, the size of the target over the pixel pitch, and
@@ -62,9 +62,9 @@ def exact_light(lens: LensFit) -> LensFit:
 def models(lens: LensFit, explained: bool = True) -> list[tuple[float, LensFit]]:
     """Return probability and estimate of all models, the most probable first.
 
-    Wavelengths are as likely to be exact as they are to have their stated errors; mistakes are rare. The fits of a field's
-    tiles are not asked for mistakes. Differences of evidence are divided by the square of the Birge ratio: misfits of all
-    models do not count as evidence.
+    Wavelengths that are stated without errors are as likely to be exact as they are to have the usual errors; mistakes are
+    rare. The fits of a field's tiles are not asked for mistakes. Differences of evidence are divided by the square of the
+    Birge ratio: misfits of all models do not count as evidence.
 
     Parameters
     ----------
@@ -72,7 +72,8 @@ def models(lens: LensFit, explained: bool = True) -> list[tuple[float, LensFit]]
     explained : whether most fits are explained; otherwise what the frames' model lacks moves wavelengths, and tells nothing
     """
     plain = under(lens, None)
-    right = [exact_light(plain), plain]
+    right = [exact_light(plain)] if plain.model.stated.light_may_be_exact else []
+    right.append(plain)
     mistaken = [] if lens.model.tiled else [f for one in right for f in with_mistakes(one)]
     fits = [*right, *mistaken]
     evidence = np.array([fit.log_evidence for fit in fits])

@@ -31,6 +31,7 @@ class Stated:
     homing_std_mm : standard error of each homing of the rail
     wavelength_std : relative standard error, by channel
     reference_nm : wavelength in which waves are counted
+    light_may_be_exact : whether all wavelengths are stated without an error
     convention : law of defocus, see `labkit.optics.lens.defocus_waves`
     field_order : radial order of the field's expansion; None if the session decides
     """
@@ -43,6 +44,7 @@ class Stated:
     homing_std_mm: float
     wavelength_std: dict[str, float]
     reference_nm: float
+    light_may_be_exact: bool = True
     convention: Convention = "corrected"
     field_order: int | None = None
 
@@ -61,6 +63,7 @@ class Stated:
                 c.name: c.stated_wavelength.std / c.wavelength_nm for c in plan.channel
             },
             reference_nm=plan.reference_wavelength_nm,
+            light_may_be_exact=all(c.may_be_exact for c in plan.channel),
             convention=plan.fit.convention,
             field_order=plan.field.order,
         )

@@ -61,8 +61,8 @@ class Channel(Table):
     the mean by the tables. A stated wavelength shifts the tables' spectrum.
     """
     wavelength_std_nm: Error | None = None
-    """Standard error of the wavelength. Default: 0.5 %; by the tables, the standard deviation among lights and
-    bodies.
+    """Standard error of the wavelength. Default: 0.5 %, or none if the photographs call all wavelengths exact; by the
+    tables, the standard deviation among lights and bodies.
     """
     spectrum: Annotated[tuple[tuple[Number, Number], ...] | None, Takes(SPECTRUM)] = None
     """Spectrum of the light times the filter, if known; its mean lies within 5 % of the wavelength. Default: a
@@ -121,10 +121,19 @@ class Channel(Table):
     def stated_wavelength(self) -> Uncertain:
         """Wavelength, with its error."""
         relative = FILTER_WAVELENGTH
-        if self.light is not None and not self._states_wavelength:
+        if self._by_tables:
             mean = channel_light(self.light, TYPICAL, self.name).mean
             relative = mean.std / mean.value
         return stated(self.wavelength_nm, self.wavelength_std_nm, relative, "nm")
+
+    @property
+    def may_be_exact(self) -> bool:
+        """Return whether the wavelength is stated without an error: it has the usual one, or none."""
+        return self.wavelength_std_nm is None and not self._by_tables
+
+    @property
+    def _by_tables(self) -> bool:
+        return self.light is not None and not self._states_wavelength
 
     @property
     def _states_wavelength(self) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from labkit.analysis.session_results import wavelengths_nm
 from labkit.estimation.lens_fit import LensFit
 from labkit.estimation.mistakes import models, with_doubts
+from labkit.estimation.stated import Stated
 from labkit.plan import Plan
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
@@ -122,6 +124,14 @@ def test_results_have_the_wavelengths_that_the_photographs_tell() -> None:
         assert found[channel].std < FILTER_STD * true_nm
 
 
+def test_wavelengths_with_stated_errors_are_not_taken_as_exact() -> None:
+    lens = lens_in({})
+    assert with_doubts(lens).model.laws.exact_light
+    known = replace(lens.model.stated, light_may_be_exact=False)
+    lens = replace(lens, model=replace(lens.model, stated=known))
+    assert not any(one.model.laws.exact_light for _, one in models(lens))
+
+
 def test_an_incomplete_model_does_not_tell_wavelengths() -> None:
     """Residuals of a model that lacks something move wavelengths as wrong filters do."""
     lens = lens_in({"R": 0.02, "B": -0.01})
@@ -129,3 +139,19 @@ def test_an_incomplete_model_does_not_tell_wavelengths() -> None:
     every = models(lens, explained=False)
     exact, other = (chance for chance, one in every if not one.model.laws.mistaken)
     assert exact == pytest.approx(other)
+
+
+@pytest.mark.parametrize(
+    ("channel", "exact"),
+    [
+        ({"wavelength_nm": 540.0}, True),
+        ({"wavelength_nm": 540.0, "light": "led-panel"}, True),
+        ({"wavelength_nm": 540.0, "wavelength_std_nm": 1.0}, False),
+        ({"light": "led-panel"}, False),
+    ],
+)
+def test_wavelengths_without_errors_may_be_exact(
+    channel: dict[str, object], exact: bool
+) -> None:
+    text = plan_text(SMALL, {"channel": [{"name": "G", **channel}]})
+    assert Stated.of(Plan.parse(text)).light_may_be_exact == exact
