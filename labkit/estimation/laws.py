@@ -97,7 +97,7 @@ class Laws:
     f_number_std : relative, of the working f-number that follows from the lens's conjugates, common to all observations
     f_number_scatter : relative, of each observation's working f-number
     size_scatter : relative, of each observation's size
-    exact_light : whether all channels have the stated wavelengths exactly
+    exact_light : whether all channels have the stated wavelengths but for rounding
     mistaken : column whose stated number is a mistake
     """
 

@@ -359,8 +359,9 @@ class LensModel:
             yield Column(STEPS_LABEL, stated.range_std_mm, name=(station,))
         yield Column(FOCUS, 100 * far, far)
         for channel in self.channels:
-            exact = self.laws.exact_light
-            error = 0.0 if exact else stated.wavelength_std.get(channel, 0.0)
+            error = stated.wavelength_std.get(channel, 0.0)
+            if self.laws.exact_light:
+                error = min(error, SETTINGS.rounded_light)
             yield Column(WAVELENGTH, error, name=(channel,))
             if channel != self.reference:
                 yield Column(AXIAL_COLOUR, SETTINGS.colour_std * far, name=(channel,))

@@ -1,6 +1,6 @@
 """How well a plan's numbers are known: wavelengths that are exact, numbers that are far off, and errors that allow for both.
 
-A wavelength that is stated without an error has a typical one, or none, as a spectral line. Photographs tell which holds.
+A wavelength that is stated without an error has a typical one, or that of rounding. Photographs tell which holds.
 
 A mistake is a stated number that is wrong beyond its standard error: another aperture, another colour, another target. The
 photographs determine the cone times the wavelength over the pixel pitch, the size of the target over the pixel pitch, and
@@ -54,7 +54,7 @@ def under(lens: LensFit, column: Place | None) -> LensFit:
 
 
 def exact_light(lens: LensFit) -> LensFit:
-    """Return the estimate from the same measurements if all wavelengths are exactly as stated."""
+    """Return the estimate from the same measurements if all wavelengths are as stated, but for rounding."""
     laws = replace(lens.model.laws, exact_light=True)
     return fit_lens(replace(lens.model, laws=laws), lens.measured, lens.solved.point)
 

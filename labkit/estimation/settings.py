@@ -94,6 +94,8 @@ class Settings:
     """Blocks of pixels along each side of a cut, for the sandwich covariance: wider than correlations by one wrong kernel."""
     tilt_draws: int = 200
     """Number of random poses to estimate the error of a tilt to 5 %."""
+    rounded_light: float = 5e-4
+    """Relative error of an exact wavelength that is stated to the nanometre: 0.29 nm of 580."""
     exact: float = 1e-6
     """Relative error of exact numbers: no photograph measures a number so precisely."""
 

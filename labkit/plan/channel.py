@@ -61,8 +61,8 @@ class Channel(Table):
     the mean by the tables. A stated wavelength shifts the tables' spectrum.
     """
     wavelength_std_nm: Error | None = None
-    """Standard error of the wavelength. Default: 0.5 %, or none if the photographs call all wavelengths exact; by the
-    tables, the standard deviation among lights and bodies.
+    """Standard error of the wavelength. Default: 0.5 %, or 0.05 % if the photographs call all wavelengths exact; by
+    the tables, the standard deviation among lights and bodies.
     """
     spectrum: Annotated[tuple[tuple[Number, Number], ...] | None, Takes(SPECTRUM)] = None
     """Spectrum of the light times the filter, if known; its mean lies within 5 % of the wavelength. Default: a
@@ -128,7 +128,7 @@ class Channel(Table):
 
     @property
     def may_be_exact(self) -> bool:
-        """Return whether the wavelength is stated without an error: it has the usual one, or none."""
+        """Return whether the wavelength is stated without an error: it has the usual one, or that of rounding."""
         return self.wavelength_std_nm is None and not self._by_tables
 
     @property
