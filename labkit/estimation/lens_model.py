@@ -359,10 +359,7 @@ class LensModel:
             yield Column(STEPS_LABEL, stated.range_std_mm, name=(station,))
         yield Column(FOCUS, 100 * far, far)
         for channel in self.channels:
-            error = stated.wavelength_std.get(channel, 0.0)
-            if self.laws.exact_light:
-                error = min(error, SETTINGS.rounded_light)
-            yield Column(WAVELENGTH, error, name=(channel,))
+            yield Column(WAVELENGTH, self._wavelength_std(channel), name=(channel,))
             if channel != self.reference:
                 yield Column(AXIAL_COLOUR, SETTINGS.colour_std * far, name=(channel,))
                 yield Column(LATERAL_COLOUR, SETTINGS.colour_std, name=(channel,))
@@ -379,6 +376,10 @@ class LensModel:
         for kind, name in ONLY_MISTAKEN:  # last: other columns keep their places
             if (kind, name) == self.laws.mistaken:
                 yield Column(kind, SETTINGS.loose)
+
+    def _wavelength_std(self, channel: str) -> float:
+        std = self.stated.wavelength_std.get(channel, 0.0)
+        return min(std, SETTINGS.rounded_light) if self.laws.exact_light else std
 
     @property
     def _stations(self) -> list[float]:
