@@ -40,7 +40,8 @@ def test_the_lens_stands_beside_the_true_one() -> None:
     truth = SimpleNamespace(
         focal_length_mm=70.0, f_number=2.8, range_zero_mm=3.0, visits=[]
     )
-    lens = Lens(*(Uncertain(value, 0.1) for value in (70.2, 2.79, 1.0, 2.5)))
+    focal, cone, pupils, zero = (Uncertain(value, 0.1) for value in (70.2, 2.79, 1.0, 2.5))
+    lens = Lens(focal, cone, pupils, zero)
     compared = list(compare(some_results(focus=None, wavefronts=(), lens=lens), truth))
     assert [(c.truth, c.estimate, c.std) for c in compared] == [
         (70.0, 70.2, 0.1),
