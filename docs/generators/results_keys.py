@@ -38,6 +38,7 @@ def _keys(where: str, value: Any) -> Iterator[str]:
 NAMED = {
     "field.lateral_colour.",
     "focus.best_focus_mm.",
+    "lens.wavelengths_nm.",
     "focus.residual_waves.",
     "focus.residual_std_waves.",
     "budget.",
