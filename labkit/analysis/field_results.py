@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from labkit.analysis.session_results import as_lens
+from labkit.analysis.session_results import as_lens, wavelengths_nm
 from labkit.estimation.estimate import Estimate
 from labkit.estimation.field_terms import in_the_middle
 from labkit.estimation.laws import (
@@ -44,6 +44,7 @@ def as_field(session: Estimate, plan: Plan) -> FieldModel | None:
     blocks = range(len(model.channels))
     waves = np.ravel([own @ lens.solved.point.own[block] for block in blocks])
     cone, cone_std = _cone(lens)
+    light = wavelengths_nm(lens, plan)
     return FieldModel(
         FieldFrame(observation.photograph_px, plan.sensor.pixel_pitch_um),
         model.channels,
@@ -51,7 +52,7 @@ def as_field(session: Estimate, plan: Plan) -> FieldModel | None:
         model.noll,
         (common @ lens.theta + waves).reshape(shape),
         _covariance(lens, common, own),
-        tuple(_wavelength_nm(plan, lens, channel) for channel in model.channels),
+        tuple(light[channel].value for channel in model.channels),
         plan.reference_wavelength_nm,
         cone,
         cone_std,
@@ -158,9 +159,3 @@ def _innermost(lens: LensFit, channel: str | None = None) -> int:
     readings = lens.model.readings
     among = [k for k, r in enumerate(readings) if channel in (None, r.key.channel)]
     return min(among, key=lambda k: np.hypot(*readings[k].place))
-
-
-def _wavelength_nm(plan: Plan, lens: LensFit, channel: str) -> float:
-    """Return the estimated wavelength of a channel."""
-    stated_nm = next(one.wavelength_nm for one in plan.channel if one.name == channel)
-    return stated_nm * float(np.exp(lens.longer(_innermost(lens, channel))))
