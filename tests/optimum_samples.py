@@ -18,7 +18,7 @@ from labkit.estimation.residuals import Verdict
 from labkit.estimation.scores import ScoreTest
 from labkit.estimation.searches import Task
 from labkit.estimation.session import estimate
-from labkit.estimation.together import TogetherTask, search_together
+from labkit.estimation.together import Ends, TogetherTask, search_together
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
 from labkit.plan import Plan
@@ -125,7 +125,6 @@ def right(task: Task) -> Found:
     return Found((optimum(task.optics, range_of(task)),))
 
 
-Ends = tuple[tuple[Floats, ...], ...]
 """Of a search over several stations: wavefronts (modes,) of each station."""
 
 

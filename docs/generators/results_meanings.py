@@ -46,7 +46,9 @@ MEANINGS = {
         "Wavelength times f-number, the scale of diffraction on the sensor; null where the fit belongs to no lens."
     ),
     "wavefronts[].lambda_n_um.value": "Value.",
-    "wavefronts[].lambda_n_um.std": "Standard error, which includes that of the wavelength.",
+    "wavefronts[].lambda_n_um.std": (
+        "Standard error, which includes that of the wavelength, but no doubt about the pixel pitch."
+    ),
     "wavefronts[].blur_um": (
         "Diameter of defocus's geometric blur on the sensor, negative before best focus; null where the fit "
         "belongs to no lens."
@@ -211,7 +213,9 @@ MEANINGS = {
     "field.lambda_n_um": "Wavelength times f-number in the middle of the frame, of each channel:",
     "field.lambda_n_um.G": "One channel's:",
     "field.lambda_n_um.G.value": "Value.",
-    "field.lambda_n_um.G.std": "Standard error, which includes that of the wavelength.",
+    "field.lambda_n_um.G.std": (
+        "Standard error, which includes that of the wavelength, but no doubt about the pixel pitch."
+    ),
     "field.pupil": "The pupil's rim over the frame; null where it is round everywhere.",
     "field.pupil.middle": "Rim that all places have in common, as of `wavefronts[].pupil`:",
     "field.pupil.middle.cuts": "Edges that limit it.",

@@ -60,10 +60,6 @@ Name = tuple[str | float, ...]
 Place = tuple[str, Name]
 """Kind and name of a column."""
 
-ONLY_MISTAKEN: tuple[Place, ...] = ((PIXEL_PITCH, ()), (WAVELENGTH, ()))
-"""Parameters that are exact unless they are a mistake: pixel pitch, and a common factor of all wavelengths."""
-
-
 @dataclass(frozen=True, slots=True)
 class Column:
     """A parameter of the session.

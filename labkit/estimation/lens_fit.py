@@ -164,9 +164,8 @@ class LensFit:
         noise += self._repeated(followed, own, block)
         noise *= self.birge_ratio**2 * (1 - sum(chance for chance, _ in self.others))
         for chance, lens in self.others:
-            there = _sized(combinations, len(lens.theta))
-            moved = there @ lens.theta - combinations @ self.theta
-            noise += chance * (lens.errors_of(there, k) + np.outer(moved, moved))
+            moved = combinations @ (lens.theta - self.theta)
+            noise += chance * (lens.errors_of(combinations, k) + np.outer(moved, moved))
         for one in self.unknown:
             change = combinations @ one.theta + own @ one.own[block]
             noise += np.outer(change, change)
@@ -261,20 +260,24 @@ class LensFit:
         return float(self.model.longer[self.model.exposures[k]] @ self.theta)
 
     def scale_std(self, k: int) -> float:
-        """Return the relative standard error of lambda N in observation k.
+        """Return the relative standard error of lambda N in observation k, in units of the stated pixel pitch.
 
-        A cone that errs as the wavelength does leaves lambda N, the scale of diffraction, as it is. Where blurs tell N better
-        than the wavelength is known, the wavelength's error counts.
+        A cone that errs as the wavelength does leaves lambda N, the scale of diffraction, as it is, and a wrong pitch leaves
+        it in pixels: so the apparent cone tells it. Where blurs tell N better than the wavelength is known, the wavelength's
+        error counts.
         """
         slopes = self._true_slopes(k)
-        slopes[-2] += self.model.longer[self.model.exposures[k]]
+        slopes[-2] = self._slopes(k)[-2]
         whole = self._with_scatter(self.errors_of(slopes, k), k)
         return float(np.sqrt(whole[-2, -2]))
 
     def _true_slopes(self, k: int) -> Floats:
         """Return the derivatives (values, columns) of the `true_values` of observation k."""
-        slopes = self.model.seen(self.solved.slopes, np.array([k]))[0]
-        return self.model.true_slopes(slopes)
+        return self.model.true_slopes(self._slopes(k))
+
+    def _slopes(self, k: int) -> Floats:
+        """Return the derivatives (values, columns) of the predicted values of observation k."""
+        return np.asarray(self.model.seen(self.solved.slopes, np.array([k]))[0])
 
     def _own_share(self, k: int) -> Floats:
         """Return the share (values, values) of observation k's misfit that is its modes' own scatter."""
@@ -381,14 +384,6 @@ def _roots(covariance: Floats) -> Floats:
     values, vectors = np.linalg.eigh(covariance)
     roots = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors
     return np.asarray(roots @ vectors.transpose(0, 2, 1))
-
-
-def _sized(rows: Floats, columns: int) -> Floats:
-    """Return rows (m, any) with fewer columns, or with further columns of 0: a mistaken pitch is a column of its own."""
-    sized = np.zeros((len(rows), columns))
-    shared = min(columns, rows.shape[1])
-    sized[:, :shared] = rows[:, :shared]
-    return sized
 
 
 def fit_lens(

@@ -37,7 +37,6 @@ from labkit.estimation.laws import (
     LATERAL_COLOUR,
     MAGNIFICATION,
     MODE,
-    ONLY_MISTAKEN,
     PART,
     PIXEL_PITCH,
     RANGE_ZERO,
@@ -351,6 +350,8 @@ class LensModel:
         yield Column(MAGNIFICATION, USUAL_LOG_MAGNIFICATION)
         yield Column(RANGE_ZERO, stated.range_zero_std_mm)
         yield Column(SIZE, float(np.hypot(stated.size_std, self.tilt_std)))
+        for exact in (PIXEL_PITCH, WAVELENGTH):  # of all channels: wrong only by a mistake
+            yield Column(exact, 0.0)
         yield Column(WORKING_F_NUMBER, self.laws.f_number_std)
         homings = {homing for reading in self.readings for homing in reading.homings}
         for homing in sorted(homings)[1:]:
@@ -373,9 +374,6 @@ class LensModel:
         yield from common_columns(
             self.field_order, self.noll, self.field_spread, self._stations
         )
-        for kind, name in ONLY_MISTAKEN:  # last: other columns keep their places
-            if (kind, name) == self.laws.mistaken:
-                yield Column(kind, SETTINGS.loose)
 
     def _wavelength_std(self, channel: str) -> float:
         std = self.stated.wavelength_std.get(channel, 0.0)

@@ -72,6 +72,11 @@ class Refits:
             kept.update(self._first_with(left, choice, score))
         return {k: kept[k] for k in ends if k in kept}
 
+    def add(self, others: Refits) -> None:
+        """Add refits with choices that were not refitted before."""
+        self.made |= others.made
+        self.begun |= others.begun
+
     def _first_with(
         self, left: Mapping[int, Optimum], choice: Parts, score: bool
     ) -> dict[int, Optimum]:

@@ -15,9 +15,9 @@ from labkit.estimation.refits import Refits, with_tests
 from labkit.estimation.searches import Searches
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import nominal_f_number, optics_of
-from labkit.estimation.together import TogetherTask, search_together
+from labkit.estimation.together import Ends, TogetherTask, search_together
 from labkit.imaging.optics import Optics
-from labkit.imaging.parts import KNOWN
+from labkit.imaging.parts import KNOWN, CatsEye
 from labkit.optics.lens import ThinLens, defocus_waves
 from labkit.optics.wavefront import DEFOCUS
 from labkit.plan import Plan
@@ -31,7 +31,7 @@ class StrongSearch:
     Attributes
     ----------
     search : runs searches
-    refits : refits their optima with further modes
+    refits : the session's refits, to which those of the new optima are added
     plan : the session's plan
     """
 
@@ -46,7 +46,8 @@ class StrongSearch:
 
         Many modes nearly explain what an obstruction does, at wrong optima. So the search is made with each such part before it
         is made with all modes; what the part does not explain may then be modes, which go on without a part that hardly does
-        anything.
+        anything. Where neither is enough, a cat's eye is tried with the part: it moves the clear part, and so the middle of the
+        obstruction.
 
         Parameters
         ----------
@@ -66,17 +67,19 @@ class StrongSearch:
         modes = parts | set(self.plan.fit.mode_groups)
         lacking = best[min(best)].optics.lacking
         begun = [parts | {name} for name in lacking if KNOWN[name].far]
-        choice, reached = parts, dict[int, Found]()
-        for way in [*begun, modes]:
+        cut = [way | {CatsEye.name} for way in begun]
+        choice, reached, again = parts, dict[int, Found](), self._no_refits()
+        for way in [*begun, modes, *cut]:
             least = {
                 k: one.log_likelihood + cost(way) - cost(parts) for k, one in best.items()
             }
             ends = self._ends(self._stations(found), way, least)
             whole = modes | (way - idle([one.best for one in ends.values()], way - parts))
+            refits = self._no_refits()
             if whole != way:
-                ends = self._refitted(ends, way, whole)
+                ends = _refitted(refits, ends, way, whole)
             if _height(ends) - cost(whole) > _height(reached) - cost(choice):
-                choice, reached = whole, ends
+                choice, reached, again = whole, ends, refits
             if _explained(reached):
                 break
         gain = sum(
@@ -86,7 +89,12 @@ class StrongSearch:
         )
         if gain <= cost(choice) - cost(parts) or not _confirmed(reached):
             return None
+        self.refits.add(again)
         return choice, reached
+
+    def _no_refits(self) -> Refits:
+        """Return refits of its own for a way: optima of other ways are no starts, for many modes nearly explain a pupil."""
+        return Refits(self.search, self.plan)
 
     def _ends(
         self, stations: list[int], choice: Parts, least: Mapping[int, float]
@@ -99,9 +107,10 @@ class StrongSearch:
         choice : parts and modes
         least : by observation, a log-likelihood that a right optimum exceeds
         """
-        optics, f_number_std = self._optics(stations, choice)
+        f_number = nominal_f_number(self.plan, self._ranges_mm(stations).tolist())
+        f_number_std = f_number.std / f_number.value
         reached = dict[int, Found]()
-        for waves in self._together(stations, optics):
+        for optics, waves in self._together(stations, choice, f_number.value):
             starts = dict(zip(stations, waves, strict=True))
             # far from focus a right wavefront is clearly the likelier one
             far = max(starts, key=lambda k: abs(starts[k][0]))
@@ -119,16 +128,6 @@ class StrongSearch:
                 break
         return reached
 
-    def _refitted(
-        self, ends: Mapping[int, Found], parts: Parts, choice: Parts
-    ) -> dict[int, Found]:
-        """Return the optima of stations refitted with a choice of parts and modes; none if the refit of a station was lost."""
-        optima = {k: one.best for k, one in ends.items()}
-        again = self.refits(optima, parts, choice)
-        if again.keys() != ends.keys():
-            return {}
-        return {k: replace(ends[k], optima=(one,)) for k, one in again.items()}
-
     def _stations(self, found: Mapping[int, Found]) -> list[int]:
         """Return observations of the searched channel: the nearest, the farthest, and those evenly between."""
         observations = self.search.observations
@@ -143,13 +142,6 @@ class StrongSearch:
             0, len(ordered) - 1, min(SETTINGS.stations, len(ordered))
         ).round()
         return [ordered[int(place)] for place in places]
-
-    def _optics(self, stations: list[int], choice: Parts) -> tuple[Optics, float]:
-        """Return the stated optics with parts and modes, and the f-number's relative standard error."""
-        f_number = nominal_f_number(self.plan, self._ranges_mm(stations).tolist())
-        optics = optics_of(self.plan, self.search.observations[stations[0]].channel)
-        optics = replace(optics.with_parts(choice).begun(), f_number=f_number.value)
-        return optics, f_number.std / f_number.value
 
     def _ranges_mm(self, stations: Sequence[int]) -> Floats:
         """Return the ranges (stations,)."""
@@ -179,12 +171,16 @@ class StrongSearch:
         )
 
     def _together(
-        self, stations: list[int], optics: Optics
-    ) -> tuple[tuple[Floats, ...], ...]:
-        """Return the ends of a search over several stations; none if it was lost for lack of memory."""
+        self, stations: list[int], choice: Parts, f_number: float
+    ) -> Ends:
+        """Return the ends of a search over several stations with a choice; none if it was lost for lack of memory."""
+        stated = optics_of(self.plan, self.search.observations[stations[0]].channel)
+        stated = replace(stated, f_number=f_number)
+        optics = stated.with_parts(choice - {CatsEye.name}).begun()
         defocus = self._defocus(stations, optics)
         task = TogetherTask(
             optics,
+            tuple(stated.with_parts(choice).starts()),
             self.search.shown[self.search.observations[stations[0]].channel],
             tuple(self.search.views[k] for k in stations),
             tuple(defocus.tolist()),
@@ -203,6 +199,16 @@ class StrongSearch:
         blind = with_tests(blind, optics, self.plan)
         wanted = {k: (optics, replace(blind, starts=(one,))) for k, one in starts.items()}
         return self.search(wanted, "fitting strong wavefronts")
+
+
+def _refitted(
+    refits: Refits, ends: Mapping[int, Found], parts: Parts, choice: Parts
+) -> dict[int, Found]:
+    """Return the optima of stations refitted with a choice of parts and modes; none if the refit of a station was lost."""
+    again = refits({k: one.best for k, one in ends.items()}, parts, choice)
+    if again.keys() != ends.keys():
+        return {}
+    return {k: replace(ends[k], optima=(one,)) for k, one in again.items()}
 
 
 def _unexplained(optima: list[Optimum]) -> bool:

@@ -44,12 +44,14 @@ class TogetherTask:
     Attributes
     ----------
     optics : lens, light and sensor, the first mode defocus
+    pupils : the same optics with the pupils in which the ends go on: the same one, or cat's eyes in all directions
     target : the target as shown
     stations : frames of each station
     defocus : of each station relative to the first, by the stated lens, waves RMS at the reference wavelength
     """
 
     optics: Optics
+    pupils: tuple[Optics, ...]
     target: Shared[Target]
     stations: tuple[Shared[Views], ...]
     defocus: tuple[float, ...]
@@ -61,50 +63,58 @@ class _End:
 
     Attributes
     ----------
+    optics : with the pupil of the climb
     waves : (modes,) of each station, waves RMS
     poses : of each station's first frame; empty if unknown
     height : log-likelihood
     """
 
+    optics: Optics
     waves: tuple[Floats, ...]
     poses: tuple[Pose, ...] = ()
     height: float = -np.inf
 
     def same_as(self, other: _End) -> bool:
         """Return whether both are one optimum. Steps between stations give wavefronts their sign, so no twin counts."""
-        return bool(
-            np.linalg.norm(self.waves[0] - other.waves[0]) < SETTINGS.other_coarse_waves
-        )
+        apart = np.linalg.norm(self.waves[0] - other.waves[0])
+        return self.optics == other.optics and bool(apart < SETTINGS.other_coarse_waves)
 
 
-def search_together(task: TogetherTask) -> tuple[tuple[Floats, ...], ...]:
+Ends = tuple[tuple[Optics, tuple[Floats, ...]], ...]
+"""Ends of a search, the likeliest first: the optics with its pupil, and (modes,) of each station, waves RMS."""
+
+
+def search_together(task: TogetherTask) -> Ends:
     """Search several stations from random starts: coarse pictures first, then the best ends in finer ones.
 
-    Returns
-    -------
-    the best ends, the likeliest first: (modes,) of each station, waves RMS
+    Other pupils go on from the best end of the coarse pictures.
     """
-    coarse, finer = (_coarse(task, width) for width in SETTINGS.coarse_airy)
-    ends = [
-        _climbed(finer, task.defocus, end)
-        for end in _distinct(_from_random_starts(coarse, task.defocus))
+    coarsest, finer = SETTINGS.coarse_airy
+    ends = _from_random_starts(task, coarsest)
+    best = _distinct(ends)[0]
+    ends += [
+        _climbed(task, coarsest, replace(best, optics=pupil))
+        for pupil in task.pupils
+        if pupil != task.optics
     ]
-    return tuple(end.waves for end in _distinct(ends))
+    ends = [_climbed(task, finer, end) for end in _distinct(ends)]
+    return tuple((end.optics, end.waves) for end in _distinct(ends))
 
 
-def _coarse(task: TogetherTask, width_airy: float) -> list[Coarse]:
+def _coarse(task: TogetherTask, optics: Optics, width_airy: float) -> list[Coarse]:
     """Return the first frame of each station with pixels `width_airy` wide, lambda N."""
-    optics = task.optics.in_one_wavelength()
     return [
-        Coarse.of(optics, task.target.value, shared.value, width_airy)
+        Coarse.of(
+            optics.in_one_wavelength(), task.target.value, shared.value, width_airy
+        )
         for shared in task.stations
     ]
 
 
-def _from_random_starts(stations: Sequence[Coarse], defocus: Sequence[float]) -> list[_End]:
+def _from_random_starts(task: TogetherTask, width_airy: float) -> list[_End]:
     """Climb from random starts until two ended in the best optimum. No start is without defocus: even modes had no slopes."""
     rng = np.random.default_rng(1)
-    modes = len(stations[0].sketch.optics.noll) - 1
+    modes, defocus = len(task.optics.noll) - 1, task.defocus
     beyond = SETTINGS.near_waves
     ends = list[_End]()
     while len(ends) < SETTINGS.strong_starts and not _returned(ends):
@@ -112,7 +122,7 @@ def _from_random_starts(stations: Sequence[Coarse], defocus: Sequence[float]) ->
         focus = rng.uniform(min(defocus) - beyond, max(defocus) + beyond)
         others = rng.normal(0, SETTINGS.strong_start_waves, modes)
         start = tuple(np.append(at - focus, others) for at in defocus)
-        ends.append(_climbed(stations, defocus, _End(start)))
+        ends.append(_climbed(task, width_airy, _End(task.optics, start)))
     return ends
 
 
@@ -133,8 +143,9 @@ def _distinct(ends: Sequence[_End]) -> list[_End]:
     return kept[: SETTINGS.tried]
 
 
-def _climbed(stations: Sequence[Coarse], defocus: Sequence[float], begun: _End) -> _End:
+def _climbed(task: TogetherTask, width_airy: float, begun: _End) -> _End:
     """Climb from the end of a climb over other pictures of the stations, or from a start."""
+    stations, defocus = _coarse(task, begun.optics, width_airy), task.defocus
     poses = begun.poses or (None,) * len(stations)
     problems = tuple(
         station.sketch.holding(waves)
@@ -168,6 +179,7 @@ def _climbed(stations: Sequence[Coarse], defocus: Sequence[float], begun: _End) 
         damping=SETTINGS.first_damping,
     )
     return _End(
+        begun.optics,
         tuple(state.waves for state in end.states),
         tuple(one.pose(state) for one, state in zip(stations, end.states, strict=True)),
         end.log_likelihood,

@@ -325,8 +325,11 @@ def test_a_cats_eye_begins_with_the_circle_that_an_uneven_rim_is_like(
     assert np.dot(begun.values[:2], opposite.values[:2]) < 0
 
 
-def test_a_cats_eye_without_an_uneven_rim_does_nothing_yet() -> None:
-    assert CatsEye().starts([Blades(7, 0.3, 0.1)]) == (CatsEye(),)
+def test_a_cats_eye_without_an_uneven_rim_begins_on_all_sides() -> None:
+    eyes = CatsEye().starts([Blades(7, 0.3, 0.1)])
+    shifts = [complex(eye.right, eye.down) for eye in eyes]
+    assert sum(shifts) == pytest.approx(0.0)
+    assert np.abs(shifts) == pytest.approx(0.4)
     assert replace(OPTICS, parts=(CatsEye(),)).rim.is_round
 
 

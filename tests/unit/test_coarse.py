@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,7 +14,9 @@ from labkit.estimation.likelihood import FrameData
 from labkit.estimation.local import Views
 from labkit.estimation.settings import SETTINGS
 from labkit.imaging.optics import Optics
+from labkit.imaging.parts import CatsEye
 from labkit.imaging.warp import Pose
+from labkit.sharing import share
 from labkit.target import CellTarget
 from labkit.types import Floats
 
@@ -71,31 +75,57 @@ def test_a_pose_in_coarse_pixels_keeps_its_place(coarse: Coarse) -> None:
     np.testing.assert_allclose(coarse.pose(state).corners_px(), CORNERS, atol=1e-9)
 
 
+TASK = together.TogetherTask(
+    OPTICS, (OPTICS,), share(CellTarget(np.eye(3), (30.0, 30.0), 0.0)), (), (0.0, 1.0)
+)
+"""A search over two stations, whose climbs are played."""
+
+
 def test_starts_end_with_the_second_that_reaches_the_best_optimum(
-    coarse: Coarse, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     reached = iter([(0.3, -9.0), (0.0, -1.0), (0.6, -5.0), (0.6, -5.0), (0.01, -1.1)])
 
-    def climbed(stations: object, defocus: object, begun: object) -> together._End:
+    def climbed(task: object, width: object, begun: object) -> together._End:
         at, height = next(reached)
-        return together._End((np.full(1, at),), height=height)
+        return together._End(OPTICS, (np.full(1, at),), height=height)
 
     monkeypatch.setattr(together, "_climbed", climbed)
-    ends = together._from_random_starts([coarse], (0.0, 1.0))
+    ends = together._from_random_starts(TASK, WIDE_AIRY)
     assert len(ends) == 5
     assert [end.height for end in together._distinct(ends)] == [-1.0, -5.0, -9.0]
 
 
-def test_starts_are_no_more_than_allowed(
-    coarse: Coarse, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_starts_are_no_more_than_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
     starts = list[Floats]()
 
-    def elsewhere(stations: object, defocus: object, begun: together._End) -> together._End:
+    def elsewhere(task: object, width: object, begun: together._End) -> together._End:
         starts.append(begun.waves[0])
-        return together._End((np.full(1, float(len(starts))),), height=len(starts))
+        at = np.full(1, float(len(starts)))
+        return together._End(OPTICS, (at,), height=len(starts))
 
     monkeypatch.setattr(together, "_climbed", elsewhere)
-    together._from_random_starts([coarse], (0.0, 1.0))
+    together._from_random_starts(TASK, WIDE_AIRY)
     assert len(starts) == SETTINGS.strong_starts
     assert all(start[0] and start[1:].any() for start in starts)
+
+
+def test_other_pupils_go_on_from_the_best_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each climbs once in the coarsest pictures; of all, the likeliest climb in the finer ones."""
+    eyes = tuple(replace(OPTICS, parts=(one,)) for one in CatsEye().starts(()))
+    begun = list[tuple[float, together._End]]()
+
+    def climbed(task: object, width: float, start: together._End) -> together._End:
+        begun.append((width, start))
+        height = 1.0 + eyes.index(start.optics) if start.optics in eyes else 0.0
+        return replace(start, height=height)
+
+    monkeypatch.setattr(together, "_climbed", climbed)
+    ends = together.search_together(replace(TASK, pupils=eyes))
+    coarsest, finer = SETTINGS.coarse_airy
+    (first,) = {tuple(s.waves[0]) for w, s in begun if s.optics in eyes}
+    random = [s for w, s in begun if s.optics == OPTICS]
+    assert first in {tuple(start.waves[0]) for start in random}
+    assert [s.optics for w, s in begun if w == coarsest][len(random) :] == [*eyes]
+    assert [s.optics for w, s in begun if w == finer] == [*eyes[: -4 : -1]]
+    assert [optics for optics, _ in ends] == [*eyes[: -4 : -1]]

@@ -11,12 +11,11 @@ from labkit.estimation.local import Found
 from labkit.estimation.residuals import Verdict
 from labkit.estimation.searches import Task
 from labkit.estimation.settings import SETTINGS
-from labkit.estimation.together import TogetherTask
+from labkit.estimation.together import Ends, TogetherTask
 from labkit.imaging.parts.rim import USUAL_SHARE
 from tests.optimum_samples import (
     ASTIGMATISM,
     PLAN,
-    Ends,
     Play,
     optimum,
     played,
@@ -62,7 +61,8 @@ def at_odds(task: Task) -> Found:
 def ended(task: TogetherTask, *astigmatism: float) -> Ends:
     """Ends of a common search, each with an amount of astigmatism."""
     return tuple(
-        tuple(np.array([at, amount]) for at in task.defocus) for amount in astigmatism
+        (task.optics, tuple(np.array([at, amount]) for at in task.defocus))
+        for amount in astigmatism
     )
 
 
@@ -90,9 +90,12 @@ def test_ends_of_a_common_search_are_fitted_until_the_ranges_agree(
 
     def wrong(task: TogetherTask) -> Ends:
         return tuple(
-            tuple(
-                np.array([at, -STRONG * (1 + end) + k * scatter])
-                for k, at in enumerate(task.defocus)
+            (
+                task.optics,
+                tuple(
+                    np.array([at, -STRONG * (1 + end) + k * scatter])
+                    for k, at in enumerate(task.defocus)
+                ),
             )
             for end in range(3)
         )
@@ -139,7 +142,7 @@ def test_ends_that_gain_and_confirm_nothing_are_no_answer(
 
     def together(task: TogetherTask) -> Ends:
         end = (np.array([at, k * scatter]) for k, at in enumerate(task.defocus))
-        return (tuple(end),)
+        return ((task.optics, tuple(end)),)
 
     play = Play(gaining, together=together)
     played(play, plan=CLEAR)
@@ -190,3 +193,32 @@ def test_all_modes_are_searched_for_where_an_obstruction_explains_nothing() -> N
     play = Play(at_odds, together=lambda task: ended(task, *STRENGTHS[len(play.common)]))
     played(play)
     assert [len(task.optics.parts) for task in play.common] == [1, 0]
+
+
+def test_with_an_obstruction_cats_eyes_are_searched_for_on_all_sides() -> None:
+    """Neither an obstruction nor all modes explain anything. With a cat's eye, ranges begin in the likeliest pupil."""
+
+    def cut(task: Task) -> Found:
+        parts = {part.name: part for part in task.optics.parts}
+        if "cats_eye" not in parts:
+            (end,) = at_odds(task).optima
+            return Found((replace(end, verdict=UNEXPLAINED, log_likelihood=-300.0),))
+        return Found((optimum(task.optics, range_of(task), square=SHARE),))
+
+    def together(task: TogetherTask) -> Ends:
+        (end,) = ended(task, ASTIGMATISM)
+        return ((task.pupils[-1], end[1]),)
+
+    play = Play(cut, together=together)
+    played(play)
+    alone, _, eyes = play.common
+    assert alone.pupils == (alone.optics,)
+    assert [part.name for part in eyes.optics.parts] == ["obstruction"]
+    assert len({one.parts for one in eyes.pupils}) == len(eyes.pupils) == 8
+    with_eye = [
+        task.optics.parts
+        for batch in play.batches
+        for task in batch
+        if "cats_eye" in {part.name for part in task.optics.parts}
+    ]
+    assert with_eye[0] == eyes.pupils[-1].parts

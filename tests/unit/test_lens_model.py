@@ -67,7 +67,6 @@ def tiled() -> LensModel:
 def true_values(model: LensModel, theta: Any, own: Any, k: int) -> Any:
     """(modes + 2,) that observation k should measure, by the printed laws; theta (columns,) and own real or complex."""
     here = model.readings[k]
-    common_light = model.laws.mistaken == (WAVELENGTH, ())
 
     def at(kind: str, *name: str | float) -> Any:
         return theta[model.index(kind, *name)]
@@ -102,9 +101,9 @@ def true_values(model: LensModel, theta: Any, own: Any, k: int) -> Any:
         for k, place, of in zip((3, 2), here.place, middle, strict=True):
             tilt = at("target's tilt over the field", here.station, k)
             scale = scale + tilt * (1.5 * place - of)
-    wavelength = at("wavelength", channel) + (at("wavelength") if common_light else 0.0)
+    wavelength = at("wavelength", channel) + at("wavelength")
     modes = [mode * np.exp(-wavelength) for mode in (waves, *upper)]
-    pitch = at("pixel pitch") if model.laws.mistaken == (PIXEL_PITCH, ()) else 0.0
+    pitch = at("pixel pitch")
     return np.array([*modes, cone + at("cone") + wavelength + pitch, scale + pitch])
 
 
@@ -212,16 +211,18 @@ def test_sizes_of_a_leaning_grid_are_those_of_a_pinhole(
     assert found == pytest.approx(-np.log(cosine) / 2, abs=6e-5)
 
 
-def test_light_as_stated_has_no_slope_by_its_wavelength() -> None:
+def test_light_and_a_pitch_as_stated_have_no_slopes_by_their_errors() -> None:
     model = sampled()
     theta, own = near_focus(model)
-    theta[[model.index(WAVELENGTH, c) for c in COLOURS]] = 0.0
+    pitch, light = model.index(PIXEL_PITCH), model.index(WAVELENGTH)
+    of_colours = [model.index(WAVELENGTH, c) for c in COLOURS]
+    theta[[pitch, light, *of_colours]] = 0.0
     np.testing.assert_array_equal(model.predicted(theta, own), model.true(theta, own))
     slopes = model.slopes(theta, own)[0]
     at = [model.index(WAVELENGTH, r.key.channel) for r in model.readings]
     assert np.all(slopes[np.arange(9), 0, at] != 0)
     others = slopes.copy()
-    others[np.arange(9), :, at] = 0.0
+    others[:, :, [pitch, light, *of_colours]] = 0.0
     np.testing.assert_array_equal(model.true_slopes(slopes), others)
 
 

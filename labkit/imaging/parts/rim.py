@@ -271,6 +271,9 @@ SIZES = np.arange(0.7, 1.61, 0.1)
 START_DIRECTIONS = np.linspace(0, FULL_TURN, 36, endpoint=False)
 """Circles that a fit may begin with."""
 
+USUAL_SHIFT, BLIND_DIRECTIONS = 0.4, np.linspace(0, FULL_TURN, 8, endpoint=False)
+"""Of circles that a fit may begin with where no rim is known."""
+
 
 @dataclass(frozen=True, slots=True)
 class CatsEye(Part):
@@ -329,13 +332,15 @@ class CatsEye(Part):
     def starts(self, before: Sequence[Part]) -> tuple[Self, ...]:
         """Return the circle of another fit, or circles on opposite sides whose outlines have the harmonics of an uneven rim.
 
-        The second harmonic does not tell the sides apart, and the third may stand for modes.
+        The second harmonic does not tell the sides apart, and the third may stand for modes. Without either, circles on all
+        sides.
         """
         if eye := [part for part in before if isinstance(part, type(self))]:
             return (self.at(eye[0].values),)
         uneven = next((part for part in before if isinstance(part, UnevenRim)), None)
         if uneven is None:
-            return (self,)
+            shift = USUAL_SHIFT * np.exp(1j * BLIND_DIRECTIONS)
+            return tuple(self.at([one.real, one.imag, 0.0]) for one in shift)
         return tuple(
             self.at(
                 [
