@@ -60,6 +60,7 @@ Name = tuple[str | float, ...]
 Place = tuple[str, Name]
 """Kind and name of a column."""
 
+
 @dataclass(frozen=True, slots=True)
 class Column:
     """A parameter of the session.

@@ -68,14 +68,14 @@ class StrongSearch:
         lacking = best[min(best)].optics.lacking
         begun = [parts | {name} for name in lacking if KNOWN[name].far]
         cut = [way | {CatsEye.name} for way in begun]
-        choice, reached, again = parts, dict[int, Found](), self._no_refits()
+        choice, reached, again = parts, dict[int, Found](), self._refits_of_a_way()
         for way in [*begun, modes, *cut]:
             least = {
                 k: one.log_likelihood + cost(way) - cost(parts) for k, one in best.items()
             }
             ends = self._ends(self._stations(found), way, least)
             whole = modes | (way - idle([one.best for one in ends.values()], way - parts))
-            refits = self._no_refits()
+            refits = self._refits_of_a_way()
             if whole != way:
                 ends = _refitted(refits, ends, way, whole)
             if _height(ends) - cost(whole) > _height(reached) - cost(choice):
@@ -92,8 +92,8 @@ class StrongSearch:
         self.refits.add(again)
         return choice, reached
 
-    def _no_refits(self) -> Refits:
-        """Return refits of its own for a way: optima of other ways are no starts, for many modes nearly explain a pupil."""
+    def _refits_of_a_way(self) -> Refits:
+        """Return refits that begin from one way's optima only: many modes nearly explain a pupil, at wrong optima."""
         return Refits(self.search, self.plan)
 
     def _ends(
@@ -170,9 +170,7 @@ class StrongSearch:
             for other, step in zip(others, steps, strict=True)
         )
 
-    def _together(
-        self, stations: list[int], choice: Parts, f_number: float
-    ) -> Ends:
+    def _together(self, stations: list[int], choice: Parts, f_number: float) -> Ends:
         """Return the ends of a search over several stations with a choice; none if it was lost for lack of memory."""
         stated = optics_of(self.plan, self.search.observations[stations[0]].channel)
         stated = replace(stated, f_number=f_number)

@@ -44,7 +44,7 @@ class TogetherTask:
     Attributes
     ----------
     optics : lens, light and sensor, the first mode defocus
-    pupils : the same optics with the pupils in which the ends go on: the same one, or cat's eyes in all directions
+    pupils : the optics with the pupils of the ends: the same one, or cat's eyes in all directions
     target : the target as shown
     stations : frames of each station
     defocus : of each station relative to the first, by the stated lens, waves RMS at the reference wavelength
@@ -87,16 +87,15 @@ Ends = tuple[tuple[Optics, tuple[Floats, ...]], ...]
 def search_together(task: TogetherTask) -> Ends:
     """Search several stations from random starts: coarse pictures first, then the best ends in finer ones.
 
-    Other pupils go on from the best end of the coarse pictures.
+    Other pupils than that of the starts go on from the best end of the coarse pictures.
     """
     coarsest, finer = SETTINGS.coarse_airy
     ends = _from_random_starts(task, coarsest)
-    best = _distinct(ends)[0]
-    ends += [
-        _climbed(task, coarsest, replace(best, optics=pupil))
-        for pupil in task.pupils
-        if pupil != task.optics
-    ]
+    if task.pupils != (task.optics,):
+        best = _distinct(ends)[0]
+        ends = [
+            _climbed(task, coarsest, replace(best, optics=pupil)) for pupil in task.pupils
+        ]
     ends = [_climbed(task, finer, end) for end in _distinct(ends)]
     return tuple((end.optics, end.waves) for end in _distinct(ends))
 
@@ -104,9 +103,7 @@ def search_together(task: TogetherTask) -> Ends:
 def _coarse(task: TogetherTask, optics: Optics, width_airy: float) -> list[Coarse]:
     """Return the first frame of each station with pixels `width_airy` wide, lambda N."""
     return [
-        Coarse.of(
-            optics.in_one_wavelength(), task.target.value, shared.value, width_airy
-        )
+        Coarse.of(optics.in_one_wavelength(), task.target.value, shared.value, width_airy)
         for shared in task.stations
     ]
 

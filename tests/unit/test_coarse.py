@@ -127,5 +127,5 @@ def test_other_pupils_go_on_from_the_best_end(monkeypatch: pytest.MonkeyPatch) -
     random = [s for w, s in begun if s.optics == OPTICS]
     assert first in {tuple(start.waves[0]) for start in random}
     assert [s.optics for w, s in begun if w == coarsest][len(random) :] == [*eyes]
-    assert [s.optics for w, s in begun if w == finer] == [*eyes[: -4 : -1]]
-    assert [optics for optics, _ in ends] == [*eyes[: -4 : -1]]
+    assert [s.optics for w, s in begun if w == finer] == [*eyes[:-4:-1]]
+    assert [optics for optics, _ in ends] == [*eyes[:-4:-1]]
