@@ -146,18 +146,18 @@ class Wavefront:
     """The wavefront of a channel at a range, estimated from photographs.
 
     range_mm: as stated by the plan, None where unknown; measured_range_mm: where the rail was read to stand. noll: the
-    modes; waves: (modes,) OPD in waves RMS at reference_wavelength_nm; covariance: (modes, modes). f_number, f_number_std:
-    of the cone that reaches the sensor. lambda_n: wavelength times f-number, um, the scale of diffraction on the sensor,
-    with an error that includes the wavelength's, but no doubt about the pixel pitch; None for a fit outside the session's
-    estimate. blur: diameter of defocus's geometric blur on the sensor, um, negative before best focus, 8 N times the peak
-    to valley of defocus: known better than defocus in waves, which hangs on the f-number. wavelength_nm: as estimated, or
-    as stated if the photographs call it exact. poses: (frames, 8) of the target; gain: counts per electron; read_noise: counts. missing: parts of the camera
-    that a model which does not explain the data seems to lack; residual_spectrum: of what it leaves. spectrum: of the
-    light, about its wavelength, as the plan states it or the photographs call for it. rim: of the pupil; f-number and modes
-    are those of the circle with the full pupil's clear area, which a cat's eye cuts. tile: (row, column), None for the
-    whole frame. pulls: (modes,) of a tile's own fit less the prediction of all other tiles, over the standard errors; None
-    without a field. sign_open: whether the `twin`, whose even modes have the other sign, is as likely: from one range it
-    always is.
+    modes; waves: (modes,) OPD in waves RMS at reference_wavelength_nm; covariance: (modes, modes). f_number,
+    f_number_std: of the cone that reaches the sensor. lambda_n: wavelength times f-number, um, the scale of diffraction
+    on the sensor, with an error that includes the wavelength's, but no doubt about the pixel pitch; None for a fit
+    outside the session's estimate. blur: diameter of defocus's geometric blur on the sensor, um, negative before best
+    focus, 8 N times the peak to valley of defocus: known better than defocus in waves, which hangs on the f-number.
+    wavelength_nm: as estimated, or as stated if the photographs call it exact. poses: (frames, 8) of the target; gain:
+    counts per electron; read_noise: counts. missing: parts of the camera that a model which does not explain the data
+    seems to lack; residual_spectrum: of what it leaves. spectrum: of the light, about its wavelength, as the plan
+    states it or the photographs call for it. rim: of the pupil; f-number and modes are those of the circle with the
+    full pupil's clear area, which a cat's eye cuts. tile: (row, column), None for the whole frame. pulls: (modes,) of a
+    tile's own fit less the prediction of all other tiles, over the standard errors; None without a field. sign_open:
+    whether the `twin`, whose even modes have the other sign, is as likely: from one range it always is.
 
     >>> w = labkit.Results.load("night-3")[3200, "G"]
     >>> w.best.strehl, w.best.rms_nm, w.best.mtf50("x")  # the lens, without defocus
