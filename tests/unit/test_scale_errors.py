@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from labkit.analysis.session_results import wavelengths_nm
+from labkit.estimation.laws import PIXEL_PITCH
 from labkit.estimation.lens_fit import LensFit
 from labkit.estimation.mistakes import models, with_doubts
 from labkit.estimation.stated import Stated
@@ -127,6 +128,14 @@ def test_results_have_the_wavelengths_that_the_photographs_tell() -> None:
         true_nm = stated_nm[channel] * np.exp(log)
         assert abs(found[channel].value - true_nm) < 2 * found[channel].std
         assert found[channel].std < FILTER_STD * true_nm
+
+
+def test_a_pitch_that_may_be_wrong_is_no_error_of_lambda_n_in_pixels() -> None:
+    """It is one of N: 0.0006 and 0.00135 measured; of lambda N in true lengths, too, it was 0.00148."""
+    lens = with_doubts(lens_in({}))
+    assert any(one.model.laws.mistaken == (PIXEL_PITCH, ()) for _, one in lens.others)
+    cone_std = float(np.sqrt(lens.posterior(0)[1][-2, -2]))
+    assert lens.scale_std(0) < 0.7 * cone_std
 
 
 def test_wavelengths_with_stated_errors_are_not_taken_as_exact() -> None:
