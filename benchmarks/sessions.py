@@ -186,15 +186,22 @@ def _diagnosed(results: Line, plan: Plan) -> Line:
     """Return parts and groups of modes that were found beyond the plan, and the gains that score tests foresaw of others."""
     found = list(dict.fromkeys(name.split(".")[0] for name in results["model_parts"]))
     if plan.fit.zernike_noll is None:
-        fitted = {j for w in results["wavefronts"] for j in w["noll"]}
-        found += [name for name, group in MODE_GROUPS.items() if group.last in fitted]
-    last = {
+        last = _last_mode(results)
+        found += [name for name, group in MODE_GROUPS.items() if group.last <= last]
+    foreseen = {
         tried["part"]: tried["gain"]
         for tried in results["parts_tried"]
         if not tried["adopted"]
     }
-    gains = {name: gain for name, gain in last.items() if name not in found}
+    gains = {name: gain for name, gain in foreseen.items() if name not in found}
     return {"found": found, "gains": gains, "widest_light_nm": results["widest_light_nm"]}
+
+
+def _last_mode(results: Line) -> int:
+    """Return the last mode that the photographs called for."""
+    if results["lens"] is None:
+        return max(int(j) for w in results["wavefronts"] for j in w["noll"])
+    return int(results["lens"]["modes"]["noll"][1])
 
 
 def _add(z: dict[str, list[float]], name: str, estimate: Line | None, true: float) -> None:

@@ -141,7 +141,7 @@ TEXTS = {
     "light-contradicted": "the light that the plan names has another width than the photographs show: {list}",
     "higher-modes-found": (
         "the photographs show Zernike modes {first_noll} to {last_noll}, {waves_words} RMS together, which were fitted "
-        "besides the usual modes"
+        "besides the usual modes{besides}"
     ),
     "camera-parts-missing": (
         "the photographs show {list}, which the model lacks and which would move {moves}; standard errors include this effect"

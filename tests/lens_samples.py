@@ -23,6 +23,8 @@ DEFOCUS_STD, F_NUMBER_STD, SIZE_STD = 3e-4, 4e-3, 1.5e-5
 """Of one fit, physics.md §15: waves with the cone known; relative errors of cone and size."""
 MODE_STD = 1e-3
 """Of a mode above defocus, waves RMS."""
+NEAR = tuple(np.linspace(470.0, 494.0, 5).tolist())
+"""mm, about a best focus at 482 mm."""
 
 
 def laws(

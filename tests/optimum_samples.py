@@ -15,6 +15,7 @@ from labkit.estimation.estimate import Estimate
 from labkit.estimation.local import Found, Optimum
 from labkit.estimation.observation import Observation
 from labkit.estimation.residuals import Verdict
+from labkit.estimation.ridge import Ridge
 from labkit.estimation.scores import ScoreTest
 from labkit.estimation.searches import Task
 from labkit.estimation.session import estimate
@@ -106,6 +107,7 @@ def optimum(
         of.covariance[:2, :2],
         of,
         replace(of, covariance=100 * of.covariance, model=99 * of.covariance),
+        Ridge(of.values, np.eye(of.values.size)),
         height,
         1 + 2 * unexplained / PIXELS,
         Verdict(0.5 if explained else 0.0, explained, 0.0, 0.0),

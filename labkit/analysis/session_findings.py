@@ -91,7 +91,7 @@ def findings_of(
     """
     return [
         *(found("fit-left-out", note=words) for words in session.lost),
-        *higher_modes(wavefronts, plan),
+        *higher_modes(session, wavefronts, plan),
         *camera_findings(session, wavefronts, numbers, wanted_parts(plan)),
         *plan_findings(session.lens, plan),
         *session_findings(session, patience_s),
@@ -244,16 +244,20 @@ def _number(
     return _key(kind, name), stated, Uncertain(true, true * estimate.std, unit)
 
 
-def higher_modes(wavefronts: Sequence[Wavefront], plan: Plan) -> Iterator[Finding]:
+def higher_modes(
+    session: Estimate, wavefronts: Sequence[Wavefront], plan: Plan
+) -> Iterator[Finding]:
     """Report the modes added to the plan's, with their RMS in the wavefront with the least errors."""
     best = min(wavefronts, key=lambda w: float(np.sum(w.std)))
-    added = [j for j in best.noll if j not in plan.fit.noll]
+    weak = [] if session.lens is None else sorted(session.lens.model.weak)
+    added = [j for j in best.noll if j not in (*plan.fit.noll, *weak)]
     if added:
-        whole = rms(best.fitted, without=plan.fit.noll)
+        whole = rms(best.fitted, without=(*plan.fit.noll, *weak))
+        besides = f"; weaker ones to {weak[-1]} were estimated with them" if weak else ""
         yield found(
             "higher-modes-found",
             None,
-            {"waves_words": str(whole)},
+            {"waves_words": str(whole), "besides": besides},
             first_noll=min(added),
             last_noll=max(added),
             waves_rms=whole.as_json(),
@@ -426,10 +430,10 @@ def _focus_difference(lens: LensFit | None, other: LensFit | None) -> dict[str, 
 
 def _waves_difference(wavefront: FittedWavefront, other: FittedWavefront) -> float:
     """Return the distance of two wavefronts, waves RMS. Of two twins the nearer counts."""
-    twin = other.waves * twin_signs(other.noll)
-    return min(
-        float(np.linalg.norm(waves - wavefront.waves)) for waves in (other.waves, twin)
-    )
+    of_mode = dict(zip(other.noll, other.waves, strict=True))
+    there = np.array([of_mode.get(j, 0.0) for j in wavefront.noll])
+    twin = there * twin_signs(wavefront.noll)
+    return min(float(np.linalg.norm(waves - wavefront.waves)) for waves in (there, twin))
 
 
 def doubtful_wavefronts(wavefronts: Sequence[Wavefront]) -> Iterator[Finding]:

@@ -101,7 +101,8 @@ def _of_session(w: Wavefront, session: Estimate, k: int) -> Wavefront:
     lens = session.lens
     assert lens is not None
     values, covariance = lens.posterior(session.row(k))
-    modes = len(w.noll)
+    noll = lens.model.noll
+    modes = len(noll)
     if session.incomplete:
         covariance = covariance + np.diag(lens.model.mode_scatter())
     labels = lens.model.parts
@@ -110,7 +111,7 @@ def _of_session(w: Wavefront, session: Estimate, k: int) -> Wavefront:
     parameters = [*(numbers[label] for label in optics.camera_labels), values[-2]]
     f_number, waves = float(np.exp(values[-2])), values[:modes]
     optics = optics.with_camera_parameters(np.array(parameters))
-    at = w.noll.index(DEFOCUS)
+    at = noll.index(DEFOCUS)
     um = blur_per_wave_um(f_number, w.reference_wavelength_nm * 1e-3)
     pull = np.zeros(len(values))
     pull[[at, -2]] = um, um * waves[at]
@@ -121,6 +122,7 @@ def _of_session(w: Wavefront, session: Estimate, k: int) -> Wavefront:
         wavelength_nm=light_nm,
         spectrum=optics.light,
         rim=optics.rim,
+        noll=noll,
         waves=waves,
         covariance=covariance[:modes, :modes],
         f_number=f_number,

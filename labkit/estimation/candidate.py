@@ -41,6 +41,15 @@ def _twin_sign(label: str) -> float:
     return 1.0 if part is None else part.twin_signs[part.labels.index(number)]
 
 
+def value_signs(noll: tuple[int, ...], parts: tuple[str, ...]) -> Floats:
+    """Return -1 for even modes and for odd numbers of the rim, which change sign in the twin (thesis §3.6), +1 for all else.
+
+    noll, parts: as in `Measured`, whose (values,) these are
+    """
+    of_parts = [_twin_sign(label) for label in parts]
+    return np.array([*twin_signs(noll), *of_parts, 1.0, 1.0])
+
+
 @dataclass(frozen=True)
 class Measured:
     """A Gaussian measurement: the likelihood of one observation's frames about an optimum.
@@ -74,10 +83,8 @@ class Measured:
 
     @property
     def signs(self) -> Floats:
-        """(values,) -1 for even modes and for odd numbers of the rim, which change sign in the twin, +1 for all other values
-        (thesis §3.6)."""
-        of_parts = [_twin_sign(label) for label in self.parts]
-        return np.array([*twin_signs(self.noll), *of_parts, 1.0, 1.0])
+        """(values,) factors of the values in the twin, see `value_signs`."""
+        return value_signs(self.noll, self.parts)
 
     def labelled(self, parts: tuple[str, ...]) -> Measured:
         """Add unmeasured numbers of further parts: channels with a known spectrum, for example, do not measure its width."""

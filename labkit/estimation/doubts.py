@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from labkit.estimation.block_solve import Point
-from labkit.estimation.candidate import Measured
+from labkit.estimation.candidate import Measured, value_signs
 from labkit.estimation.estimate import Estimate
 from labkit.estimation.left_out import by_modes_left_out
 from labkit.estimation.lens_fit import LensFit, fit_lens
@@ -80,8 +80,8 @@ def turned_lenses(session: Estimate) -> list[LensFit]:
     is_open = [k for k in session.members if k not in session.signed]
     if lens is None or not is_open:
         return []
-    measured = session.fits[is_open[0]].optimum.measured.labelled(lens.model.parts)
-    return list(with_turned(lens, [*map(session.row, is_open)], measured.signs))
+    signs = value_signs(lens.model.noll, lens.model.parts)
+    return list(with_turned(lens, [*map(session.row, is_open)], signs))
 
 
 def with_turned(lens: LensFit, rows: Sequence[int], signs: Floats) -> Iterator[LensFit]:

@@ -18,7 +18,6 @@ import scipy.sparse
 
 from labkit.estimation.candidate import Measured
 from labkit.estimation.climb import (
-    NOISE,
     PER_FRAME,
     Position,
     Problem,
@@ -30,12 +29,13 @@ from labkit.estimation.climb import (
     sane,
 )
 from labkit.estimation.identifiability import inverse
-from labkit.estimation.likelihood import slopes
+from labkit.estimation.ridge import Ridge
+from labkit.estimation.sandwich import scattered
 from labkit.estimation.settings import SETTINGS
 from labkit.imaging.model import Evaluation, ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import POSE_SIZE, Pose
-from labkit.types import Bools, Floats
+from labkit.types import Floats
 
 
 @dataclass(frozen=True)
@@ -50,6 +50,7 @@ class Freed:
     covariance : (modes, modes) of the modes, waves RMS squared, the errors of the camera parameters' prior included
     measured : the measurement, without a prior on the f-number
     sandwich : the measurement with sandwich errors, which hold if residuals are not noise alone
+    ridge : of the likelihood about the end
     """
 
     expansion: Expansion
@@ -58,6 +59,7 @@ class Freed:
     covariance: Floats
     measured: Measured
     sandwich: Measured
+    ridge: Ridge
 
 
 @dataclass(frozen=True)
@@ -121,7 +123,7 @@ class Expansion:
 
     @cached_property
     def _scattered(self) -> tuple[Floats, Floats]:
-        return _scattered(self.problem, self.state, self.evaluations)
+        return scattered(self.problem, self.state, self.evaluations)
 
     @property
     def objective(self) -> float:
@@ -210,13 +212,11 @@ class Expansion:
         model = grown @ grown.T
         return replace(measured, covariance=measured.covariance + model, model=model)
 
-    def at(self, values: Floats) -> tuple[State, Optics]:
-        """Return the likeliest state and optics with given measured values (m,)."""
-        step, covariance = self._optimum
-        pulled = self.projection @ covariance
-        away = values - self.values - self.projection @ step
-        step = step + pulled.T @ np.linalg.solve(pulled @ self.projection.T, away)
-        return self.moved(step), self.optics_after(step)
+    def ridge(self, step: Floats) -> Ridge:
+        """Return the ridge of the likelihood about the state after a step (p,) to an optimum."""
+        pulled = self.projection @ self._optimum[1]
+        slopes = inverse(pulled @ self.projection.T) @ pulled
+        return Ridge(self.values + self.projection @ step, slopes)
 
 
 def free_f_number(problem: Problem, start: Start, f_number_std: float) -> Freed:
@@ -336,6 +336,7 @@ class Opened(Position):
             covariance[:modes, :modes],
             measured,
             expansion.sandwich(measured),
+            expansion.ridge(step),
         )
 
 
@@ -433,42 +434,6 @@ def _assembled(
     return gradient[rest] - across.T @ known[:, 0], information[
         np.ix_(rest, rest)
     ] - across.T @ known[:, 1:]
-
-
-def _scattered(
-    problem: Problem, state: State, evaluations: Sequence[Evaluation]
-) -> tuple[Floats, Floats]:
-    """Return two covariances (p, p) of the gradient: due to the flats' relative errors, and from the scatter of blocks.
-
-    Residuals of neighbouring pixels may be correlated, those of blocks are not.
-    """
-    places = state.places(len(evaluations[0].by_waves))
-    size = 1 + int(places[0][-1])
-    flats, blocks = np.zeros((size, size)), np.zeros((size, SETTINGS.blocks**2))
-    for index, evaluation, frame, detector in zip(
-        places, evaluations, problem.frames, state.detectors(), strict=True
-    ):
-        of = slopes(evaluation, frame, detector)
-        weighted = of.of_mean * (frame.relative_std[frame.used] * of.mean / of.variance)
-        flats[np.ix_(index[:-NOISE], index[:-NOISE])] += weighted @ weighted.T
-        by_mean, by_variance = of.pulls(frame.counts[frame.used])
-        pulled = np.concatenate([of.of_mean * by_mean, of.of_variance * by_variance])
-        blocks[index] += pulled @ _in_blocks(frame.used)
-    blocks -= blocks.mean(axis=1, keepdims=True)
-    return flats, np.asarray(blocks @ blocks.T)
-
-
-def _in_blocks(used: Bools) -> scipy.sparse.csr_array:
-    """Return a matrix (pixels, blocks^2) with 1 for the block that contains a used pixel."""
-    rows, columns = (
-        at * SETTINGS.blocks // n
-        for at, n in zip(np.nonzero(used), used.shape, strict=True)
-    )
-    pixels = rows.size
-    return scipy.sparse.csr_array(
-        (np.ones(pixels), (np.arange(pixels), rows * SETTINGS.blocks + columns)),
-        (pixels, SETTINGS.blocks**2),
-    )
 
 
 def _foreshortening(pose: Pose, covariance: Floats) -> tuple[float, float]:

@@ -3,23 +3,29 @@
 The mean over the field, or for values that follow a law the middle of the frame, has the columns of an untiled session. Here
 are the field's Zernike polynomials from tilt on, each times a mode, the cone or the scale. Every kind and order of them has a
 standard deviation of its own, for which the marginal likelihood of the session is largest: of an order that is not there it
-tends to 0. So no order has to be chosen (M. E. Tipping, J. Mach. Learn. Res. 1, 211 (2001)).
+tends to 0. So no order has to be chosen (M. E. Tipping, J. Mach. Learn. Res. 1, 211 (2001)). The same holds for what colours
+differ by in the modes of each radial order.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from labkit.estimation.laws import (
+    COMMON_MODE,
     FIELD_COLOUR,
     FIELD_CONE,
     FIELD_KINDS,
     FIELD_MODE,
     FIELD_SCALE,
     FIELD_TILT,
+    MODE,
+    WEAK_MODE,
     Column,
+    Name,
 )
 from labkit.estimation.settings import SETTINGS
 from labkit.optics.field import field_terms
@@ -38,6 +44,7 @@ TARGET_SLOPES = (3, 2)
 BEFORE: Mapping[str, float] = {
     FIELD_MODE: SETTINGS.field_waves,
     FIELD_COLOUR: SETTINGS.colour_modes_std,
+    MODE: SETTINGS.colour_modes_std,
     FIELD_CONE: ENGRAVED_F_NUMBER,
     FIELD_SCALE: SETTINGS.loose,
 }
@@ -46,6 +53,9 @@ BEFORE: Mapping[str, float] = {
 
 LEAST_DETERMINED = 0.1
 """Number of a family's terms that observations determine, below which its standard deviation stays."""
+
+LEAST_DETERMINED_SHARE = 0.5
+"""The same for weak modes, over their number: a deep cat's eye hides most of them, and few might be small by chance."""
 
 
 def usual_order(tiles: int) -> int:
@@ -92,8 +102,28 @@ def own_columns(
             yield _column(FIELD_COLOUR, (k, j), spread)
 
 
+def mode_columns(
+    j: int, channels: Sequence[str], spread: Mapping[Family, float], weak_std: float | None
+) -> Iterator[Column]:
+    """Yield the columns of a mode: what all channels have in common, and what each adds.
+
+    weak_std: standard deviation of a weak mode before the session; None for other modes
+    """
+    common = Column(COMMON_MODE, SETTINGS.unknown, name=(j,))
+    if weak_std is not None:
+        column = Column(WEAK_MODE, weak_std, name=(j,))
+        common = replace(column, std=_spread_of(column, spread, weak_std))
+    yield common
+    for channel in channels:
+        own = _column(MODE, (channel, j), spread)
+        yield replace(own, std=min(own.std, common.std))
+
+
 def family(column: Column) -> Family | None:
     """Return the family of a column; None for columns of other kinds."""
+    if column.kind in (MODE, WEAK_MODE):
+        order, _ = noll_to_nm(int(column.name[-1]))
+        return column.kind, 0, order, False
     if column.kind not in (*FIELD_KINDS, FIELD_COLOUR):
         return None
     field, *pupil = (noll_to_nm(int(j)) for j in column.name)
@@ -152,23 +182,29 @@ def spreads(
     """
     squares: dict[Family, float] = {}
     determined: dict[Family, float] = {}
+    least: dict[Family, float] = {}
     for column, value, variance in zip(columns, values, variances, strict=True):
         if (of := family(column)) is not None:
             squares[of] = squares.get(of, 0.0) + float(value) ** 2
             share = 1 - float(variance) / column.prior_std**2
             determined[of] = determined.get(of, 0.0) + max(share, 0.0)
-    least = SETTINGS.defocus_floor_waves
+            weak = column.kind == WEAK_MODE
+            of_number = least.get(of, 0.0) + LEAST_DETERMINED_SHARE
+            least[of] = of_number if weak else LEAST_DETERMINED
     # a family that hardly anything determines keeps what is known of it before the session
     return {
-        of: max((square / determined[of]) ** 0.5, least)
-        if determined[of] > LEAST_DETERMINED
-        else BEFORE[of[0]]
+        of: max((square / determined[of]) ** 0.5, SETTINGS.defocus_floor_waves)
         for of, square in squares.items()
+        if determined[of] > least[of]
     }
 
 
-def _column(kind: str, name: tuple[int, ...], spread: Mapping[Family, float]) -> Column:
+def _column(kind: str, name: Name, spread: Mapping[Family, float]) -> Column:
     column = Column(kind, BEFORE[kind], name=name)
+    return replace(column, std=_spread_of(column, spread, BEFORE[kind]))
+
+
+def _spread_of(column: Column, spread: Mapping[Family, float], before: float) -> float:
     of = family(column)
     assert of is not None
-    return Column(kind, spread.get(of, BEFORE[kind]), name=name)
+    return spread.get(of, before)

@@ -13,17 +13,20 @@ from labkit.estimation.climb import Problem, Start, State
 from labkit.estimation.estimate import Estimate
 from labkit.estimation.expansion import expand
 from labkit.estimation.laws import Laws
+from labkit.estimation.left_out import weak_modes
 from labkit.estimation.lens_fit import LensFit
 from labkit.estimation.local import Views
+from labkit.estimation.ridge import Ridge
 from labkit.estimation.select import lens_of
 from labkit.estimation.settings import SETTINGS
 from labkit.execute import Run
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.imaging.window import WINDOW_AIRY
+from labkit.mode_groups import MODE_GROUPS
 from labkit.sharing import Shared, share
 from labkit.target import Target
-from labkit.types import Floats, Progress
+from labkit.types import Progress
 
 
 @dataclass(frozen=True)
@@ -33,8 +36,7 @@ class Leg:
     Attributes
     ----------
     views, target : the member's frames and the target
-    state, optics : the member's present parameters
-    values : (values,) prescribed by the session's step, see `Measured`
+    state, optics : where the step leads
     explained : whether the model explains the member's frames
     """
 
@@ -42,7 +44,6 @@ class Leg:
     target: Shared[Target]
     state: State
     optics: Optics
-    values: Floats
     explained: bool
 
 
@@ -53,7 +54,30 @@ class Reached:
     state: State
     optics: Optics
     measured: Measured
+    ridge: Ridge
     log_likelihood: float
+
+    def stepped(self, lens: LensFit, row: int) -> tuple[State, Optics]:
+        """Return the likeliest state and optics given what a lens predicts for observation `row`.
+
+        Weak modes of the lens join the model. The lens predicts scales of a target that faces it; a member's scale is smaller
+        by its target's tilt.
+        """
+        model, optics = lens.model, self.optics
+        *others, cone, scale = lens.solved.predicted[row].tolist()
+        values = dict(zip((*model.noll, *model.parts), others, strict=True))
+        scale -= lens.measured.values[row, -1] - self.measured.values[-1]
+        own = [values[label] for label in (*optics.noll, *optics.camera_labels)]
+        step = self.ridge.step(np.array([*own, cone, scale]))
+        camera = slice(len(optics.noll), len(own) + 1)
+        optics = optics.with_camera_parameters(optics.camera_parameters + step[camera])
+        weak = model.weak.keys() - {*optics.noll}
+        optics = optics.with_parts(
+            [name for name, group in MODE_GROUPS.items() if group.first in weak]
+        )
+        waves = np.array([values.get(j, 0.0) for j in optics.noll])
+        state = self.state.moved(np.delete(step, camera))
+        return replace(state, waves=waves), optics
 
 
 @dataclass(frozen=True)
@@ -118,12 +142,14 @@ def refined(session: Estimate, targets: Mapping[str, Target], run: Run) -> Estim
     """Replace the lens by the lens after the joint climb's first step, where the likelihoods of single fits are no parabolas.
 
     In squares of a filter's spread the likelihood is less parabolic than in other parameters, and the session's spread lies
-    beyond the estimates of some single fits. Near focus it is less parabolic in all parameters if there is little light: fits
+    beyond the estimates of some single fits. The valley along f-number, defocus and higher modes is curved: single fits end
+    some errors away along it. Near focus the likelihood is less parabolic in all parameters if there is little light: fits
     then contradict a lens that explains all photographs together.
     """
-    lens = session.lens
-    if lens is None:
+    if session.lens is None:
         return session
+    weak = weak_modes(session)
+    lens = replace(session.lens, model=replace(session.lens.model, weak=weak))
     fits = [session.fits[k] for k in session.members]
     try:
         poor = mostly_unexplained(fit.optimum.verdict.accepted for fit in fits)
@@ -131,7 +157,7 @@ def refined(session: Estimate, targets: Mapping[str, Target], run: Run) -> Estim
             strict = _stepped(session, targets, _under_strict_laws(session, lens), run)
             if not strict.contradicted:
                 return replace(session, lens=strict)
-        if not any(fit.optics.parts for fit in fits):
+        if not any(fit.optics.beyond_usual for fit in fits):
             return session
         return replace(session, lens=_stepped(session, targets, lens, run))
     except LostTasksError:  # for lack of memory: the two levels' end stays
@@ -158,7 +184,8 @@ def _optima(session: Estimate) -> list[Reached]:
     """Return where the two levels left the members."""
     optima = [session.fits[k].optimum for k in session.members]
     return [
-        Reached(one.state, one.optics, one.measured, one.log_likelihood) for one in optima
+        Reached(one.state, one.optics, one.measured, one.ridge, one.log_likelihood)
+        for one in optima
     ]
 
 
@@ -169,23 +196,16 @@ def _all_reached(
     places: Sequence[Reached],
     run: Run,
 ) -> list[Reached]:
-    """Step all members to the values that a lens predicts for them.
-
-    The lens predicts scales of a target that faces it; a member's scale is smaller by its target's tilt.
-    """
+    """Step all members to the values that a lens predicts for them."""
     legs = []
     shown = {channel: share(target) for channel, target in targets.items()}
     for k, place in zip(session.members, places, strict=True):
         fit = session.fits[k]
-        row = session.row(k)
         o = fit.observation
-        values = lens.solved.predicted[row].copy()
-        values[-1] -= lens.measured.values[row, -1] - place.measured.values[-1]
         views = share(Views(o.frames, o.poses, o.noise))
+        state, optics = place.stepped(lens, session.row(k))
         explained = fit.optimum.verdict.accepted
-        legs.append(
-            Leg(views, shown[o.channel], place.state, place.optics, values, explained)
-        )
+        legs.append(Leg(views, shown[o.channel], state, optics, explained))
     done = dict(run(reach, legs))
     return [done[k] for k in range(len(legs))]
 
@@ -199,24 +219,21 @@ def _lens_of(session: Estimate, reached: Sequence[Reached], like: LensFit) -> Le
 
 
 def reach(leg: Leg) -> Reached:
-    """Step a member's own parameters to their likeliest values given the session's, and expand the likelihood there."""
-    state, optics = expand(problem_at(leg, leg.optics, leg.state), Start(leg.state)).at(
-        leg.values
-    )
-    problem = problem_at(leg, optics, state)
-    expansion = expand(problem, Start(state))
+    """Expand the likelihood about the end of a step."""
+    expansion = expand(problem_of(leg), Start(leg.state))
     measured = expansion.measured()
     return Reached(
-        state,
-        optics,
+        leg.state,
+        leg.optics,
         measured if leg.explained else expansion.sandwich(measured),
+        expansion.ridge(np.zeros_like(expansion.gradient)),
         expansion.objective,
     )
 
 
-def problem_at(leg: Leg, optics: Optics, state: State) -> Problem:
-    """Return a leg's frames with a model about a state."""
-    views = leg.views.value
+def problem_of(leg: Leg) -> Problem:
+    """Return a leg's frames with a model about its state."""
+    views, optics, state = leg.views.value, leg.optics, leg.state
     model = ForwardModel.build(
         optics,
         leg.target.value,

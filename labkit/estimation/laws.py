@@ -24,6 +24,7 @@ LATERAL_COLOUR = "lateral colour"
 WAVELENGTH = "wavelength"
 PART = "part"
 COMMON_MODE = "common mode"
+WEAK_MODE = "weak common mode"
 MODE = "mode"
 FIELD_MODE = "mode over the field"
 FIELD_CONE = "cone over the field"
@@ -50,6 +51,7 @@ OPEN = (
     LATERAL_COLOUR,
     PART,
     COMMON_MODE,
+    WEAK_MODE,
     MODE,
     *FIELD_KINDS,
     FIELD_TILT,

@@ -1,16 +1,15 @@
-"""Modes that a session leaves out: what they probably are, and how far they move its lens.
+"""Modes that a session has not adopted: what they probably are, and how far they move its lens.
 
 A session adopts higher modes only where they gain more than absent modes do by chance. Weaker ones remain in the photographs,
-and the modes that are fitted take up a share of them. The score tests that decided about them tell both: the likeliest
-numbers, under a normal prior whose variance has the largest marginal likelihood (C. N. Morris, J. Am. Stat. Assoc. 78, 47
-(1983)), and what each of them moves in a fit. Beyond modes that were adopted the next ones are about as strong, whatever the
-tests tell: behind a deep cat's eye they hardly tell higher modes from lower ones. Otherwise modes that chance explains have no
-variance, and move nothing.
+and the modes that are fitted take up a share of them. Beyond modes that were adopted the next ones are not much weaker, so they
+become weak modes of the lens. Elsewhere they are left out, and the score tests that decided about them tell their effect: the
+likeliest numbers, under a normal prior whose variance has the largest marginal likelihood (C. N. Morris, J. Am. Stat. Assoc.
+78, 47 (1983)), and what each of them moves in a fit. Modes that chance explains have no variance, and move nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import reduce
 
@@ -22,7 +21,7 @@ from labkit.estimation.candidate import Measured
 from labkit.estimation.estimate import Estimate
 from labkit.estimation.lens_fit import fit_lens
 from labkit.estimation.scores import ScoreTest
-from labkit.mode_groups import MODE_GROUPS
+from labkit.mode_groups import MODE_GROUPS, USUAL_NOLL
 from labkit.types import Floats
 
 LOG_VARIANCES = -14.0, 14.0
@@ -36,11 +35,10 @@ def by_modes_left_out(session: Estimate) -> tuple[Point, ...]:
     what the modes move.
     """
     lens, tests = session.lens, _tests(session)
-    if lens is None or not tests:
+    if lens is None or lens.model.weak or not tests:
         return ()
     measured = {k: session.fits[k].optimum.measured for k in tests}
-    every = reduce(ScoreTest.__add__, tests.values())
-    deviations = standard_deviations(every, _strength([*measured.values()]))
+    deviations = standard_deviations(_summed(tests), _strength([*measured.values()]))
     if not len(deviations):
         return ()
     rows = [session.row(k) for k in tests]
@@ -60,11 +58,42 @@ def by_modes_left_out(session: Estimate) -> tuple[Point, ...]:
     )
 
 
+def weak_modes(session: Estimate) -> dict[int, float]:
+    """Return the modes beyond those that a session adopted, with the standard deviation of each, waves RMS.
+
+    It is that of the highest adopted modes, or the likeliest by the tests if that is larger. There are none where no modes were
+    adopted, where camera parts are missing, and in fields, whose tiles have different modes.
+    """
+    lens, tests = session.lens, _tests(session)
+    if lens is None or lens.model.tiled or any(session.with_missing) or not tests:
+        return {}
+    fits = [session.fits[k].optimum.measured for k in tests]
+    last = max(fits[0].noll)
+    std = variance(_summed(tests), _strength(fits)) ** 0.5
+    if last <= USUAL_NOLL[1] or not std:
+        return {}
+    return dict.fromkeys(range(last + 1, MODE_GROUPS[_tested(session)[-1]].last + 1), std)
+
+
+def _tested(session: Estimate) -> list[str]:
+    """Return the groups of modes for which members were tested, the lowest first."""
+    every = [session.fits[k].optimum.scores for k in session.members]
+    return [name for name in MODE_GROUPS if any(name in of for of in every)]
+
+
 def _tests(session: Estimate) -> dict[int, ScoreTest]:
     """Return the test of all modes that members lack, by member, of those that were tested for them."""
     every = {k: session.fits[k].optimum.scores for k in session.members}
-    names = [name for name in MODE_GROUPS if any(name in of for of in every.values())]
-    return {k: of[names[-1]] for k, of in every.items() if names and names[-1] in of}
+    return {
+        k: of[name]
+        for name in _tested(session)[-1:]
+        for k, of in every.items()
+        if name in of
+    }
+
+
+def _summed(tests: Mapping[int, ScoreTest]) -> ScoreTest:
+    return reduce(ScoreTest.__add__, tests.values())
 
 
 def _strength(fits: Sequence[Measured]) -> float:
@@ -80,21 +109,27 @@ def _strength(fits: Sequence[Measured]) -> float:
 def standard_deviations(test: ScoreTest, least: float = 0.0) -> Floats:
     """Return m independent standard deviations (m, n) of a test's numbers from 0; the first is their mean.
 
-    The numbers have a normal prior, whose variance has the largest marginal likelihood above a least one. If that is 0, m is 0.
+    The numbers have a normal prior, see `variance`. If its variance is 0, m is 0.
     """
+    prior = variance(test, least)
+    if not prior:
+        return np.empty((0, len(test.slope)))
+    information, vectors = np.linalg.eigh(test.information)
+    posterior = prior / (1 + prior * information)
+    means = posterior * (vectors.T @ test.slope)
+    return np.vstack([vectors @ means, (vectors * np.sqrt(posterior)).T])
+
+
+def variance(test: ScoreTest, least: float = 0.0) -> float:
+    """Return the variance of a test's numbers about 0 with the largest marginal likelihood, but no less than a least one."""
     information, vectors = np.linalg.eigh(test.information)
     slopes = vectors.T @ test.slope
     unit = float(np.mean(information))
 
     def deficit(log_variance: float) -> float:
-        variance = np.exp(log_variance) / unit
-        grown = 1 + variance * information
-        return float(np.sum(np.log(grown) - variance * slopes**2 / grown))
+        prior = np.exp(log_variance) / unit
+        grown = 1 + prior * information
+        return float(np.sum(np.log(grown) - prior * slopes**2 / grown))
 
     best = minimize_scalar(deficit, bounds=LOG_VARIANCES, method="bounded").x
-    variance = max(least, np.exp(best) / unit if deficit(best) < 0 else 0.0)
-    if not variance:
-        return np.empty((0, len(slopes)))
-    posterior = variance / (1 + variance * information)
-    means = posterior * slopes
-    return np.vstack([vectors @ means, (vectors * np.sqrt(posterior)).T])
+    return max(least, float(np.exp(best)) / unit if deficit(best) < 0 else 0.0)

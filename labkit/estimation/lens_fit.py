@@ -102,8 +102,8 @@ class LensFit:
             + np.einsum("glp,pq,glq->gl", followed, normal.covariance, followed)
         )
 
-    def field_spread(self) -> dict[Family, float]:
-        """Return the standard deviation of each family of the field's terms, from their estimates and errors."""
+    def spread(self) -> dict[Family, float]:
+        """Return the standard deviation of each family of columns, from their estimates and errors."""
         model, own = self.model, self.solved.point.own
         columns = (*model.columns, *model.local_columns * len(own))
         values = np.append(self.theta, own)
@@ -424,16 +424,16 @@ def predicted_by_other_stations(lens: LensFit) -> Floats:
     return predicted
 
 
-def fit_field(
+def fit_families(
     model: LensModel, measured: Measurements, start: Point | None = None
 ) -> LensFit:
-    """Estimate the session's parameters, and with them the standard deviations of the field's terms.
+    """Estimate the session's parameters, and with them the standard deviations of families of columns.
 
-    These maximise the marginal likelihood; sessions without tiles have none.
+    These maximise the marginal likelihood: of the field's terms, and of what colours differ by in the modes.
     """
     lens = fit_lens(model, measured, start)
-    for _ in range(SETTINGS.most_steps if model.field_order else 0):
-        wider = replace(model, field_spread=lens.field_spread())
+    for _ in range(SETTINGS.most_steps):
+        wider = replace(model, spread=lens.spread())
         solved = solve(wider, lens.solved.data, lens.solved.point)
         changed = LensFit(wider, measured, solved)
         if changed.log_evidence < lens.log_evidence + SETTINGS.same_optimum:

@@ -21,6 +21,7 @@ from labkit.estimation.field_terms import (
     Family,
     coefficient,
     common_columns,
+    mode_columns,
     own_columns,
     polynomials,
     usual_order,
@@ -43,6 +44,7 @@ from labkit.estimation.laws import (
     SIZE,
     STEPS_LABEL,
     WAVELENGTH,
+    WEAK_MODE,
     WORKING_F_NUMBER,
     Column,
     Laws,
@@ -84,7 +86,8 @@ class LensModel:
     stated : the plan's numbers
     laws : tolerances of the laws
     tilt_std : relative error of all sizes due to the target's tilt
-    field_spread : standard deviations of the field's terms, by family, where they differ from those before the session
+    spread : standard deviations of families of columns, where they differ from those before the session
+    weak : standard deviations before the session of modes for which no photograph calls, by Noll's number
     """
 
     readings: tuple[Reading, ...]
@@ -93,7 +96,8 @@ class LensModel:
     stated: Stated
     laws: Laws = field(default_factory=Laws)
     tilt_std: float = 0.0
-    field_spread: Mapping[Family, float] = field(default_factory=dict)
+    spread: Mapping[Family, float] = field(default_factory=dict)
+    weak: Mapping[int, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         times = Counter(reading.key for reading in self.readings)
@@ -190,7 +194,7 @@ class LensModel:
         """Parameters of each channel for itself; empty for sessions without tiles, or with one channel."""
         if len(self.channels) < 2:
             return ()
-        return tuple(own_columns(self.field_order, self.noll, self.field_spread))
+        return tuple(own_columns(self.field_order, self.noll, self.spread))
 
     @cached_property
     def centre(self) -> Floats:
@@ -299,10 +303,6 @@ class LensModel:
         return np.where(self._apparent, 0.0, slopes)
 
     @property
-    def _upper_modes(self) -> list[int]:
-        return [j for j in self.noll if j != DEFOCUS]
-
-    @property
     def _law_rows(self) -> list[int]:
         """Coefficients that follow nonlinear laws: defocus and ln of the f-number in the middle, and all of ln of the scale."""
         defocus, cone, scale, end = (
@@ -367,13 +367,11 @@ class LensModel:
         names = (self.of_channel(label, c) for c in self.channels for label in self.parts)
         for name in dict.fromkeys(names):
             yield Column(PART, SETTINGS.unknown, name=name)
-        for j in self._upper_modes:
-            yield Column(COMMON_MODE, SETTINGS.unknown, name=(j,))
-            for channel in self.channels:
-                yield Column(MODE, SETTINGS.colour_modes_std, name=(channel, j))
-        yield from common_columns(
-            self.field_order, self.noll, self.field_spread, self._stations
-        )
+        for j in self.noll:
+            if j != DEFOCUS:
+                weak = self.weak.get(j)
+                yield from mode_columns(j, self.channels, self.spread, weak)
+        yield from common_columns(self.field_order, self.noll, self.spread, self._stations)
 
     def _wavelength_std(self, channel: str) -> float:
         std = self.stated.wavelength_std.get(channel, 0.0)
@@ -441,7 +439,7 @@ class LensModel:
         ]
         for row, j in enumerate(self.noll):
             constant = row * self.terms
-            entries.append((constant, (COMMON_MODE, (j,))))
+            entries += [(constant, (kind, (j,))) for kind in (COMMON_MODE, WEAK_MODE)]
             entries.append((constant, (MODE, (channel, j))))
         for row, label in enumerate(self.parts, len(self.noll)):
             number = (PART, self.of_channel(label, channel))

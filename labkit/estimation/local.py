@@ -15,6 +15,7 @@ from labkit.estimation.expansion import Freed, free_f_number, with_optics_about
 from labkit.estimation.held import expanded_about
 from labkit.estimation.likelihood import FrameData, predict
 from labkit.estimation.residuals import Verdict, judge, residual_spectrum
+from labkit.estimation.ridge import Ridge
 from labkit.estimation.scores import ScoreTest, score_tests, twin_scores
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.starts import Log, Sketches
@@ -37,6 +38,7 @@ class Optimum:
     covariance : (modes, modes) waves RMS squared, the error of the given f-number included
     measured : measurement by the frames alone, for the session
     sandwich : measurement with sandwich errors, valid if the model does not explain the frames
+    ridge : of the likelihood about the optimum
     log_likelihood : of frames and noise calibration
     chi2_per_pixel : of the residuals
     verdict : whether the residuals are noise alone
@@ -51,6 +53,7 @@ class Optimum:
     covariance: Floats
     measured: Measured
     sandwich: Measured
+    ridge: Ridge
     log_likelihood: float
     chi2_per_pixel: float
     verdict: Verdict
@@ -105,6 +108,7 @@ class Optimum:
             covariance=self.covariance * np.outer(signs, signs),
             measured=self.measured.twin(),
             sandwich=self.sandwich.twin(),
+            ridge=self.ridge.twin(self.measured.signs),
             scores=twin_scores(self.scores, self.measured.signs),
         )
 
@@ -402,6 +406,7 @@ def _judged(freed: Freed) -> Optimum:
         else freed.covariance + freed.sandwich.model[:modes, :modes],
         measured=freed.measured,
         sandwich=freed.sandwich,
+        ridge=freed.ridge,
         log_likelihood=solution.objective,
         chi2_per_pixel=solution.chi2_per_pixel,
         verdict=verdict.given_covariance(

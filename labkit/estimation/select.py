@@ -26,7 +26,7 @@ from labkit.estimation.lens_fit import (
     LensFit,
     Measurements,
     crossing,
-    fit_field,
+    fit_families,
     fit_lens,
     focus_slope,
 )
@@ -321,6 +321,7 @@ def exact_lens(
     stated: Stated,
     *,
     laws: Laws | None = None,
+    weak: Mapping[int, float] | None = None,
 ) -> LensFit:
     """Estimate the lens under given laws, or under the strictest laws that the measurements do not contradict.
 
@@ -331,10 +332,12 @@ def exact_lens(
     members : (n,) whether the observation counts
     stated : the plan's numbers
     laws : tolerances of the laws; None to choose them
+    weak : standard deviations of weak modes, see `LensModel`
     """
     known = [one for one in chosen if one is not None]
     parts = tuple(dict.fromkeys(label for one in known for label in one.parts))
-    model = LensModel(tuple(readings), known[0].noll, parts, stated, laws or Laws())
+    noll = known[0].noll
+    model = LensModel(tuple(readings), noll, parts, stated, laws or Laws(), weak=weak or {})
     n, size = len(readings), model.values
     values = np.zeros((n, size))
     tilts = foreshortenings(readings, chosen, members, tiled=model.field_order > 0)
@@ -354,7 +357,7 @@ def exact_lens(
     if common is None:
         covariance[:, -1, -1] += tilts[:, 1] ** 2
     measured = Measurements(values, covariance, calibration, surplus, members)
-    lens = fit_field(replace(model, tilt_std=tilt_std), measured)
+    lens = fit_families(replace(model, tilt_std=tilt_std), measured)
     model = lens.model
     stations = {
         one.station for one, member in zip(readings, members, strict=True) if member
@@ -380,7 +383,9 @@ def lens_of(measured: Mapping[int, Measured], like: LensFit) -> LensFit:
     model = like.model
     chosen = [measured.get(row) for row in range(len(model.readings))]
     members = like.measured.used
-    return exact_lens(model.readings, chosen, members, model.stated, laws=model.laws)
+    return exact_lens(
+        model.readings, chosen, members, model.stated, laws=model.laws, weak=model.weak
+    )
 
 
 def _common_tilt(tilts: Floats) -> tuple[float, float] | None:

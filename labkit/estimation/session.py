@@ -418,7 +418,7 @@ class _Loop:
 
     def _to_come(self, *, bare: bool = True) -> int:
         """Return the number of steps after the fits: refits with the plan's camera (if `bare`), a joint climb's, results."""
-        joint = bool(self._camera_parts or self.camera.wanted)
+        joint = any(self.chosen(k).optics.beyond_usual for k in self.found)
         each = (bare and bool(self._of_the_body)) + joint
         return len(self.observations) * each + 1
 

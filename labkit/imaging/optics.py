@@ -14,7 +14,7 @@ from labkit.imaging.estimated import Estimated
 from labkit.imaging.panel_aperture import Aperture
 from labkit.imaging.parts import KNOWN, Part, SpectrumWidth, rim_of
 from labkit.imaging.window import window_for
-from labkit.mode_groups import MODE_GROUPS
+from labkit.mode_groups import MODE_GROUPS, USUAL_NOLL
 from labkit.optics.psf import Pupil
 from labkit.optics.rim import Place, Rim
 from labkit.optics.spectrum import Spectrum
@@ -152,6 +152,11 @@ class Optics:
         parts = tuple(part.at([next(numbers) for _ in part.labels]) for part in self.parts)
         panel = self.panel and self.panel.at([next(numbers) for _ in self.panel.labels])
         return replace(self, parts=parts, panel=panel, f_number=math.exp(next(numbers)))
+
+    @property
+    def beyond_usual(self) -> bool:
+        """Return whether there are camera parts, or modes beyond the usual ones."""
+        return bool(self.parts) or max(self.noll, default=0) > USUAL_NOLL[1]
 
     @property
     def lacking(self) -> list[str]:

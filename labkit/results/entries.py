@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from labkit.mode_groups import USUAL_NOLL
+from labkit.mode_groups import MODE_GROUPS, USUAL_NOLL
 from labkit.optics.metrics import rms_by_order
 from labkit.optics.rim import Circle, Cut, Diaphragm, Rim
 from labkit.results.kept import (
@@ -169,14 +169,24 @@ class LensEntry(Entry):
 
 
 def _modes_entry(results: Results) -> dict[str, Any]:
-    """Return the modes, and the RMS of each order beyond the usual ones in the wavefront that determines them best."""
+    """Return the modes, and the RMS of each order beyond the usual ones in the wavefront that determines them best.
+
+    Where a session has added modes, those beyond are weak: no photograph calls for them.
+    """
     best = min(results.wavefronts, key=lambda w: float(np.sum(w.std)))
-    higher = rms_by_order(best.fitted.without(range(USUAL_NOLL[1] + 1)))
+    added = [
+        MODE_GROUPS[one.name].last
+        for one in results.parts_tried
+        if one.adopted and one.name in MODE_GROUPS
+    ]
+    noll = [j for j in best.noll if j <= max(added, default=j)]
+    without = set(best.noll) - set(noll) | set(range(USUAL_NOLL[1] + 1))
+    higher = rms_by_order(best.fitted.without(without))
     return {
         "orders": [
             {"order": order, "waves_rms": rms.as_json()} for order, rms in higher.items()
         ],
-        "noll": [min(best.noll), max(best.noll)],
+        "noll": [min(noll), max(noll)],
     }
 
 

@@ -25,6 +25,8 @@ LONGER_UM = {"R": -12.0, "G": 0.0, "B": 15.0}
 """Focal lengths, less green's."""
 F_MM, F_NUMBER, PUPILS = 70.0, 2.8, 0.97
 MODES = {5: 0.03, 7: -0.02, 8: 0.05}
+APART = {"R": -0.004, "G": 0.0, "B": 0.006}
+"""What a colour's modes have more, waves. Where colours share a mode, two sessions agree better than their errors say."""
 FLOORS = [SETTINGS.defocus_floor_waves, 0.0, 0.0, 0.0, 0.0, SETTINGS.size_floor]
 
 
@@ -52,7 +54,8 @@ def a_session(
             own_mm = 1 / (F_MM + 1e-3 * longer_um) - 1 / F_MM + 1 / green_mm
             at = (range_mm + zero_mm, 1 / own_mm, green_mm)
             clean = np.array(true_laws(*at, F_MM, F_NUMBER, pupils))
-            one = measured(clean, MODES | {8: MODES[8] + coma})
+            modes = {j: waves + APART[colour] for j, waves in MODES.items()}
+            one = measured(clean, modes | {8: modes[8] + coma})
             if rng is not None:
                 noise = one.covariance + np.diag(np.square(FLOORS))
                 moved = rng.multivariate_normal(one.values, noise)
@@ -70,7 +73,7 @@ def compared(a: CommonNumbers, b: CommonNumbers) -> Comparison:
 def test_the_numbers_are_those_of_the_lens() -> None:
     found = a_session(a_plan())
     numbers = dict(zip(found.names, found.values.tolist(), strict=True))
-    assert numbers["waves.B.8"] == pytest.approx(0.05, abs=1e-6)
+    assert numbers["waves.B.8"] == pytest.approx(0.056, abs=1e-4)
     assert numbers["best_focus_mm.G"] == pytest.approx(1010.0, abs=1e-3)
     assert numbers["colour_um.B"] == pytest.approx(15.0, abs=1e-3)
     assert numbers["ln_pupil_magnification"] == pytest.approx(np.log(PUPILS), abs=1e-3)

@@ -149,7 +149,7 @@ SAMPLES = [
     found(
         "higher-modes-found",
         None,
-        {"waves_words": "0.0350 ± 0.0002 waves"},
+        {"waves_words": "0.0350 ± 0.0002 waves", "besides": ""},
         first_noll=16,
         last_noll=36,
         waves_rms={"value": 0.035, "std": 0.0002},

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from labkit.estimation.doubts import with_model_error
 from labkit.estimation.estimate import Estimate
-from labkit.estimation.left_out import by_modes_left_out, standard_deviations
-from labkit.estimation.local import Found
+from labkit.estimation.left_out import (
+    by_modes_left_out,
+    standard_deviations,
+    variance,
+    weak_modes,
+)
+from labkit.estimation.local import Found, Optimum
 from labkit.estimation.scores import ScoreTest
-from tests.lens_samples import best_focus
+from tests.lens_samples import best_focus, measured
 from tests.optimum_samples import FOCUS_MM, Play, optimum, played, range_of, true_values
 
 GROUP = "modes_16_21"
@@ -88,3 +95,43 @@ def test_beyond_adopted_modes_the_next_ones_are_as_strong() -> None:
 def test_a_lens_whose_modes_are_all_told_is_as_sure_as_before() -> None:
     plain = session(0.5)
     assert with_model_error(plain) is plain
+
+
+def adopted(gain: float, waves: float) -> Estimate:
+    """Return a session that adopted modes 16 to 21, each of some waves, and was tested for the seven next ones."""
+    plain, modes = session(0.5), dict.fromkeys(range(16, 22), waves)
+    information = np.eye(7) / STD**2
+    slope = information @ np.full(7, STD * np.sqrt(2 * gain / 7))
+    scores = {"modes_22_28": ScoreTest(slope, information, one_sided=False)}
+
+    def with_modes(one: Optimum) -> Optimum:
+        of = measured(one.measured.values[[0, -2, -1]], {5: one.waves[1], **modes})
+        optics = replace(one.optics, noll=of.noll)
+        return replace(one, optics=optics, measured=of, scores=scores)
+
+    fits = [replace(fit, optimum=with_modes(fit.optimum)) for fit in plain.fits]
+    return replace(plain, fits=tuple(fits))
+
+
+def test_modes_beyond_adopted_ones_are_weak() -> None:
+    as_strong, stronger = weak_modes(adopted(0.5, 0.02)), weak_modes(adopted(100.0, 1e-4))
+    assert [*as_strong] == [*stronger] == [*range(22, 29)]
+    assert as_strong[22] == pytest.approx(0.02, rel=0.01)
+    (test, *_) = (fit.optimum.scores["modes_22_28"] for fit in adopted(100.0, 0.0).fits)
+    four = ScoreTest(4 * test.slope, 4 * test.information, one_sided=False)
+    assert stronger[22] == pytest.approx(variance(four) ** 0.5)
+
+
+def test_no_modes_are_weak_where_none_were_adopted_or_parts_are_missing() -> None:
+    assert weak_modes(session(5.0)) == {}
+    whole = adopted(5.0, 0.02)
+    complete = tuple(fit.optimum for fit in whole.fits)
+    assert weak_modes(replace(whole, with_missing=complete)) == {}
+
+
+def test_weak_modes_of_the_lens_are_not_left_out() -> None:
+    plain = session(5.0)
+    assert plain.lens is not None
+    assert by_modes_left_out(plain)
+    model = replace(plain.lens.model, weak={16: STD})
+    assert by_modes_left_out(replace(plain, lens=replace(plain.lens, model=model))) == ()

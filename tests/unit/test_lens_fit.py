@@ -21,7 +21,7 @@ from labkit.types import Floats
 from labkit.uncertain import Uncertain
 from tests.lens_samples import (
     COLOURS,
-    MODE_STD,
+    NEAR,
     SIZE_STD,
     best_focus,
     covariance,
@@ -37,7 +37,7 @@ from tests.lens_samples import (
     with_values,
 )
 
-FAR, NEAR = (3000.0, 3200.0, 3300.0), tuple(np.linspace(470.0, 494.0, 5).tolist())
+FAR = (3000.0, 3200.0, 3300.0)
 
 
 def near_session(mp: float = 1.0, **changed: Any) -> tuple[list[Observed], Stated]:
@@ -357,22 +357,6 @@ def test_errors_grow_where_the_members_disagree() -> None:
     assert np.linalg.norm(list(shares.values())) == pytest.approx(
         best_focus(fit, "G").std, rel=1e-6
     )
-
-
-def test_a_mode_that_scatters_is_between_its_measurement_and_the_others() -> None:
-    plan, scatter = stated(60.0, 4.0), 2e-3
-    every = [
-        moved(one, modes=1e-3 * k)
-        for k, one in enumerate(members(NEAR, 482.0, 60.0, 4.0, modes={7: 0.02}))
-    ]
-    fit = lens_of(every, plan, Laws(mode_scatter=scatter))
-    common = fit.solved.predicted[4, 1]
-    value, covariance = fit.posterior(4)
-    share = scatter**2 / (scatter**2 + MODE_STD**2)
-    assert value[1] == pytest.approx(common + share * (0.024 - common), abs=1e-9)
-    # what the measurement leaves of the scatter, and a share of the common mode's error, of 15 fits
-    of_common = (1 - share) ** 2 * (scatter**2 + MODE_STD**2) / 5
-    assert covariance[1, 1] == pytest.approx((1 - share) * scatter**2 + of_common, rel=0.01)
 
 
 def marginal(fit: LensFit) -> float:
