@@ -137,8 +137,8 @@ MEANINGS = {
     "lens.focal_length_mm.value": "Value, mm.",
     "lens.focal_length_mm.std": "Standard error, mm.",
     "lens.modes": "Zernike modes of the fits.",
-    "lens.modes.noll": "First and last mode that the photographs called for, by Noll. Where modes were added, `wavefronts` have "
-    "weaker ones beyond.",
+    "lens.modes.noll": "First and last mode that the photographs called for, by Noll. Where modes were added, `wavefronts` "
+    "have weaker ones beyond.",
     "lens.modes.orders": "Radial orders beyond 4 that the session added: `order`, and `waves_rms`, RMS of its modes with its "
     "standard error, in the wavefront that determines them best.",
     "lens.pupil": "The pupil that all photographs share.",

@@ -253,7 +253,7 @@ def higher_modes(
     added = [j for j in best.noll if j not in (*plan.fit.noll, *weak)]
     if added:
         whole = rms(best.fitted, without=(*plan.fit.noll, *weak))
-        besides = f"; weaker ones to {weak[-1]} were estimated with them" if weak else ""
+        besides = f"; weaker modes, to {weak[-1]}, were estimated with them" if weak else ""
         yield found(
             "higher-modes-found",
             None,

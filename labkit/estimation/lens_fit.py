@@ -9,7 +9,8 @@ import numpy as np
 from scipy.special import chdtrc
 
 from labkit.estimation.block_solve import Data, LeastSquares, Point, quadratic, solve
-from labkit.estimation.field_terms import Family, spreads
+from labkit.estimation.field_terms import Family, family, spreads
+from labkit.estimation.focus_line import crossing
 from labkit.estimation.laws import (
     AXIAL_COLOUR,
     FOCUS,
@@ -85,12 +86,19 @@ class LensFit:
 
     @cached_property
     def degrees_of_freedom(self) -> float:
-        """Number of measured values less the effective number of parameters that they determine."""
-        variance = np.diag(self.solved.normal.covariance)
-        unknown = np.array([column.kind in OPEN for column in self.model.columns])
-        free = np.sum(1 - (variance / self.model.prior_std**2)[unknown])
-        free += np.sum(1 - self.own_variance / self.model.local_std**2)
-        return max(float(self.measured.used.sum() * self.model.values - free), 0.0)
+        """Number of measured values less the effective number of parameters that they determine.
+
+        Families with a fitted standard deviation are drawn from it, and cost one number each: chi2 contains their spread.
+        """
+        model, variance = self.model, np.diag(self.solved.normal.covariance)
+        unknown = [
+            column.kind in OPEN and family(column) not in model.spread
+            for column in model.columns
+        ]
+        own = [family(column) not in model.spread for column in model.local_columns]
+        free = len(model.spread) + np.sum(1 - (variance / model.prior_std**2)[unknown])
+        free += np.sum((1 - self.own_variance / model.local_std**2)[:, own])
+        return max(float(self.measured.used.sum() * model.values - free), 0.0)
 
     @cached_property
     def own_variance(self) -> Floats:
@@ -462,33 +470,3 @@ def first_point(model: LensModel, measured: Measurements) -> Point:
         if channel != model.reference:
             theta[model.index(AXIAL_COLOUR, channel)] = found.get(channel, first) - first
     return Point(theta, np.zeros((len(model.channels), len(model.local_columns))))
-
-
-def focus_slope(model: LensModel) -> float:
-    """Return the slope of a thin lens's defocus, waves RMS, over 1/(range - f), 1/mm."""
-    focal_mm, f_number = model.stated.focal_length.value, model.stated.f_number.value
-    reference_mm = model.stated.reference_nm * 1e-6
-    return float(-(focal_mm**2) / (8 * f_number**2 * np.sqrt(12) * reference_mm))
-
-
-def crossing(ranges_mm: Floats, waves: Floats, model: LensModel) -> Floats:
-    """Return the ranges (...,) of zero defocus, mm, by straight lines through defocus over 1/(range - f).
-
-    Parameters
-    ----------
-    ranges_mm : (m,)
-    waves : (..., m) defocus, waves RMS
-    model : has the stated focal length and f-number
-    """
-    focal_mm = model.stated.focal_length.value
-    at = 1 / (ranges_mm - focal_mm)
-    inverse = np.mean(at - waves / focus_slope(model), axis=-1)
-    away = at - at.mean()
-    if np.ptp(ranges_mm) > 0:
-        slope = waves @ away / (away @ away)
-        falling = np.where(slope < 0, slope, -np.inf)
-        own = at.mean() - np.mean(waves, axis=-1) / falling
-        inverse = np.where(slope < 0, own, inverse)
-    low = 1 / (3 * ranges_mm.max() - focal_mm)
-    high = 1 / max(ranges_mm.min() / 3 - focal_mm, 0.5 * focal_mm)
-    return np.asarray(1 / np.clip(inverse, low, high) + focal_mm)

@@ -21,14 +21,13 @@ from labkit.estimation.candidate import (
     Reading,
     poor_model,
 )
+from labkit.estimation.focus_line import crossing, focus_slope
 from labkit.estimation.laws import Laws
 from labkit.estimation.lens_fit import (
     LensFit,
     Measurements,
-    crossing,
     fit_families,
     fit_lens,
-    focus_slope,
 )
 from labkit.estimation.lens_model import LensModel
 from labkit.estimation.mistakes import possible_mistakes, with_mistakes

@@ -43,7 +43,7 @@ def test_colours_differ_by_as_much_as_the_photographs_tell(
     """Modes of an order that all colours share are known better than by one colour, others as well; errors are true."""
     rng, of_colour = np.random.default_rng(5), MODE_STD / np.sqrt(len(NEAR))
     differences = apart * rng.normal(size=(3, 4))
-    errors, pulls = list[Floats](), list[Floats]()
+    errors, pulls, chi2 = list[Floats](), list[Floats](), list[float]()
     for _ in range(40):
         every = members(NEAR, 482.0, 60.0, 4.0, modes=dict.fromkeys((7, 8, 9, 10), 0.02))
         noise = MODE_STD * rng.normal(size=(len(every), 4))
@@ -52,12 +52,17 @@ def test_colours_differ_by_as_much_as_the_photographs_tell(
             values[1:5] += differences[k % 3] + noise[k]
             every[k] = with_values(one, values)
         fit = lens_of(every, stated(60.0, 4.0))
+        chi2.append(fit.chi2)
         for k in range(3):
             value, covariance = fit.posterior(k)
             errors.append(value[1:5] - 0.02 - differences[k])
             pulls.append(errors[-1] / np.sqrt(np.diag(covariance)[1:5]))
     assert np.std(errors) == pytest.approx(gain * of_colour, rel=0.1)
     assert np.std(pulls) == pytest.approx(1.0, abs=0.1)
+    # of the four modes' values, less four common modes and a standard deviation: all other values have no noise
+    assert np.mean(chi2) == pytest.approx(15 * 4 - 5, abs=3)
+    others = 15 * 3 - 5
+    assert fit.degrees_of_freedom == pytest.approx(15 * 4 - 5 + others, abs=0.1)
 
 
 def test_a_weak_mode_is_drawn_to_0() -> None:
