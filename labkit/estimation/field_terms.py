@@ -109,10 +109,10 @@ def mode_columns(
 
     weak_std: standard deviation of a weak mode before the session; None for other modes
     """
-    common = Column(COMMON_MODE, SETTINGS.unknown, name=(j,))
-    if weak_std is not None:
-        column = Column(WEAK_MODE, weak_std, name=(j,))
-        common = replace(column, std=_spread_of(column, spread, weak_std))
+    if weak_std is None:
+        common = Column(COMMON_MODE, SETTINGS.unknown, name=(j,))
+    else:
+        common = _column(WEAK_MODE, (j,), spread, weak_std)
     yield common
     for channel in channels:
         own = _column(MODE, (channel, j), spread)
@@ -199,12 +199,11 @@ def spreads(
     }
 
 
-def _column(kind: str, name: Name, spread: Mapping[Family, float]) -> Column:
-    column = Column(kind, BEFORE[kind], name=name)
-    return replace(column, std=_spread_of(column, spread, BEFORE[kind]))
-
-
-def _spread_of(column: Column, spread: Mapping[Family, float], before: float) -> float:
+def _column(
+    kind: str, name: Name, spread: Mapping[Family, float], before: float | None = None
+) -> Column:
+    """Return a column with its family's standard deviation. before: the one before the session; None for its kind's."""
+    column = Column(kind, BEFORE[kind] if before is None else before, name=name)
     of = family(column)
     assert of is not None
-    return spread.get(of, before)
+    return replace(column, std=spread.get(of, column.std))

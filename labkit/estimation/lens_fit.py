@@ -110,7 +110,7 @@ class LensFit:
             + np.einsum("glp,pq,glq->gl", followed, normal.covariance, followed)
         )
 
-    def spread(self) -> dict[Family, float]:
+    def likelier_spread(self) -> dict[Family, float]:
         """Return the standard deviation of each family of columns, from their estimates and errors."""
         model, own = self.model, self.solved.point.own
         columns = (*model.columns, *model.local_columns * len(own))
@@ -441,7 +441,7 @@ def fit_families(
     """
     lens = fit_lens(model, measured, start)
     for _ in range(SETTINGS.most_steps):
-        wider = replace(model, spread=lens.spread())
+        wider = replace(model, spread=lens.likelier_spread())
         solved = solve(wider, lens.solved.data, lens.solved.point)
         changed = LensFit(wider, measured, solved)
         if changed.log_evidence < lens.log_evidence + SETTINGS.same_optimum:

@@ -19,7 +19,7 @@ from benchmarks.sessions import STUDIES
     not REAL_LENS.exists(), reason="the table of the lens lies beside the project"
 )
 def test_weak_modes_pass_for_no_wrong_wavelength(tmp_path: Path) -> None:
-    """Modes 29 to 37 are 0.0009 waves. Without them wavelengths were 0.25 to 0.67 % too long, PSFs up to 3.3 % off."""
+    """Modes 29 to 37 are 0.0009 waves. Without them wavelengths were 0.3 and 0.8 % too long, and PSFs up to 4.2 % off."""
     drawn, folder = STUDIES["real-lens"](1, 4), tmp_path / "session"
     truth = make(drawn, folder)
     results = labkit.fit(folder, channels=["G", "B"], workers=1)

