@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from labkit.edges.region import Edge, Region, mean_and_slopes
-from labkit.estimation.climb import NoisePrior, Position, Step, climb, damped_step
+from labkit.estimation.climb import NoisePrior
 from labkit.estimation.identifiability import inverse
+from labkit.estimation.levenberg_marquardt import Position, Step, climb, damped_step
 from labkit.estimation.likelihood import Slopes
 from labkit.imaging.optics import Optics
 from labkit.optics.wavefront import DEFOCUS

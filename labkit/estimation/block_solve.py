@@ -11,8 +11,8 @@ from functools import cached_property
 
 import numpy as np
 
-from labkit.estimation.climb import Position, Step, climb
 from labkit.estimation.lens_model import LensModel
+from labkit.estimation.levenberg_marquardt import Position, Step, climb
 from labkit.estimation.settings import SETTINGS
 from labkit.types import Bools, Floats
 

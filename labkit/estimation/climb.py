@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple, Protocol, Self, TypeVar
+from typing import NamedTuple
 
 import numpy as np
-import scipy.linalg
 
 from labkit.arrays import positive, real_array
 from labkit.estimation.identifiability import inverse
+from labkit.estimation.levenberg_marquardt import Position, Step, climb, damped_step
 from labkit.estimation.likelihood import (
     Detector,
     FrameData,
@@ -20,6 +20,7 @@ from labkit.estimation.likelihood import (
     log_likelihood,
     score,
 )
+from labkit.estimation.prior import Prior
 from labkit.estimation.settings import SETTINGS
 from labkit.imaging.model import Evaluation, ForwardModel
 from labkit.imaging.scene import Drawing
@@ -30,113 +31,6 @@ from labkit.types import Floats, Indices
 OF_A_FRAME = (*(f"pose {i}" for i in range(POSE_SIZE)), "scale", "ambient light")
 PER_FRAME = len(OF_A_FRAME)
 NOISE = 2  # log gain, log read variance
-
-
-class Step(NamedTuple):
-    """A step from one position to another.
-
-    Attributes
-    ----------
-    change : change of all parameters
-    length : length in standard errors
-    gain : predicted rise of the objective, for a parabola
-    """
-
-    change: Floats
-    length: float
-    gain: float
-
-    @property
-    def shortened(self) -> float:
-        """Distance that damping leaves to go along the step, over its length: 0 if undamped, for then gain = length^2 / 2."""
-        return self.gain / self.length**2 - 0.5 if self.length else 0.0
-
-
-class Position(Protocol):
-    """A point of a parameter space. A climb requests steps only from accepted positions, so slopes may be computed lazily."""
-
-    @property
-    def objective(self) -> float:
-        """Log-likelihood to maximise; -inf at forbidden positions."""
-        ...
-
-    def step(self, damping: float) -> Step:
-        """Return Marquardt's step: every diagonal element of the information grows by the share `damping`."""
-        ...
-
-    def moved(self, change: Floats) -> Self:
-        """Return the position after a change."""
-        ...
-
-    def foreseen(self, change: Floats) -> Self | None:
-        """Predict the position after a change of at most a standard error, from the slopes; None if not supported."""
-        return None
-
-
-P = TypeVar("P", bound=Position)
-
-
-def climb(
-    start: P,
-    *,
-    tolerance: float,
-    max_steps: int = 40,
-    damping: float = 1e-3,
-    least: float = 1e-3,
-) -> tuple[P, int, bool]:
-    """Climb to the maximum near a start.
-
-    Parameters
-    ----------
-    start : where to begin
-    tolerance : error of the end in standard errors, all parameters together
-    max_steps : largest number of positions whose slopes are computed
-    damping : damping of the first step
-    least : least damping after a step that led down, over 8
-
-    Returns
-    -------
-    the end; the number of positions whose slopes were computed; whether the climb settled
-
-    Notes
-    -----
-    Levenberg (1944), Marquardt (1963). The damping follows the ratio of a step's gain to its predicted gain: H. B. Nielsen,
-    report IMM-REP-1999-05, Technical University of Denmark (1999). The remaining distance after a step is known beforehand:
-    steps shrink at least as fast as the last two did, unless damping shortens them. A climb ends with a step that leaves less
-    than the tolerance to go and whose end can be predicted from slopes, or with a step shorter than the tolerance.
-    """
-    here, steps, before = start, 1, 0.0
-    converged = False
-    while steps < max_steps and not converged and damping * SETTINGS.exact < 1:
-        step = here.step(damping)
-        slowed = min(1.0, step.length / before) if before else 1.0
-        left = step.length * max(slowed, step.shortened)
-        near = left < tolerance and step.length < 1
-        foreseen = here.foreseen(step.change) if near else None
-        there = foreseen or here.moved(step.change)
-        gained = there.objective - here.objective
-        converged = left < tolerance and step.length < tolerance
-        if gained > 0:
-            converged = converged or foreseen is not None
-            damping *= max(1 / 8, 1 - (2 * gained / step.gain - 1) ** 3)
-            here, steps, before = there, steps + (foreseen is None), step.length
-        else:
-            damping, before = 8 * max(damping, least), 0.0
-        del there  # a position may hold much memory: one at a time
-    return here, steps, converged
-
-
-def damped_step(gradient: Floats, information: Floats, damping: float) -> Step:
-    """Return Marquardt's step for a gradient (p,) and an information (p, p); parameters without information stay."""
-    free = np.diag(information) > 0
-    scale = np.zeros_like(gradient)
-    scale[free] = 1 / np.sqrt(np.diag(information)[free])
-    scaled = information * np.outer(scale, scale) + np.diag(np.where(free, damping, 1.0))
-    change = np.asarray(
-        scipy.linalg.solve(scaled, gradient * scale, assume_a="pos") * scale
-    )
-    square = float(change @ information @ change)
-    return Step(change, square**0.5, float(change @ gradient) - square / 2)
 
 
 @dataclass(frozen=True)
@@ -403,6 +297,7 @@ def maximize(
     exact: bool = True,
     max_steps: int = 40,
     tolerance: float = SETTINGS.converged_stds,
+    prior: Prior | None = None,
 ) -> Solution:
     """Climb to the maximum of the likelihood near a start.
 
@@ -412,9 +307,10 @@ def maximize(
     start : where to begin
     free_waves : whether the modes change
     exact : whether slopes cover the whole band; otherwise end and information are off by a fraction of a standard error
-    max_steps, tolerance : see `climb`; the returned information is valid where the last step began
+    max_steps, tolerance : see `climb`; the returned information is valid where the last step began, and without the prior
+    prior : of the modes
     """
-    position = _Drawn(problem, start, free_waves, exact, problem.drawn(start))
+    position = _Drawn(problem, start, free_waves, exact, problem.drawn(start), prior)
     end, steps, converged = climb(position, max_steps=max_steps, tolerance=tolerance)
     begun = end.begun or end
     state, relative = end.at.state, end.at.relative
@@ -438,7 +334,7 @@ class _Drawn(Position):
     ----------
     problem : frames and their model
     first : start of the climb
-    free_waves, exact : see `maximize`
+    free_waves, exact, prior : see `maximize`
     at : the state; its drawing is kept until the slopes are known
     begun : start of the last step, if `at` was predicted from slopes
     """
@@ -448,16 +344,17 @@ class _Drawn(Position):
     free_waves: bool
     exact: bool
     at: Start
+    prior: Prior | None
     begun: _Drawn | None = None
 
     @cached_property
     def objective(self) -> float:
-        """Log-likelihood, see `Problem.objective`."""
-        return (
-            self.problem.objective(self.at.state, self.at.relative)
-            if self.at.relative
-            else -np.inf
-        )
+        """Log-likelihood, see `Problem.objective`, less what the modes lose by their prior."""
+        if not self.at.relative:
+            return -np.inf
+        state = self.at.state
+        lost = self.prior.loss(state.waves) if self.prior else 0.0
+        return self.problem.objective(state, self.at.relative) - lost
 
     @cached_property
     def slopes(self) -> tuple[Floats, Floats, list[Evaluation]]:
@@ -470,6 +367,10 @@ class _Drawn(Position):
 
     def step(self, damping: float) -> Step:
         gradient, information, _ = self.slopes
+        if self.prior and self.free_waves:
+            gradient, information = self.prior.joined(
+                gradient, information, self.at.state.waves
+            )
         return damped_step(gradient, information, damping)
 
     def moved(self, change: Floats) -> _Drawn:

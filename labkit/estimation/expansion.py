@@ -17,18 +17,10 @@ import scipy.linalg
 import scipy.sparse
 
 from labkit.estimation.candidate import Measured
-from labkit.estimation.climb import (
-    PER_FRAME,
-    Position,
-    Problem,
-    Solution,
-    Start,
-    State,
-    Step,
-    climb,
-    sane,
-)
+from labkit.estimation.climb import PER_FRAME, Problem, Solution, Start, State, sane
 from labkit.estimation.identifiability import inverse
+from labkit.estimation.levenberg_marquardt import Position, Step, climb
+from labkit.estimation.prior import Prior
 from labkit.estimation.ridge import Ridge
 from labkit.estimation.sandwich import scattered
 from labkit.estimation.settings import SETTINGS
@@ -219,7 +211,9 @@ class Expansion:
         return Ridge(self.values + self.projection @ step, slopes)
 
 
-def free_f_number(problem: Problem, start: Start, f_number_std: float) -> Freed:
+def free_f_number(
+    problem: Problem, start: Start, f_number_std: float, modes: Prior | None = None
+) -> Freed:
     """Climb to a nearby optimum over all parameters, working f-number and camera parts included.
 
     Steps are Newton's as long as they lead up, and Marquardt's after a step that led down. The first step uses rough slopes,
@@ -231,11 +225,12 @@ def free_f_number(problem: Problem, start: Start, f_number_std: float) -> Freed:
     start : where to begin
     f_number_std : relative standard error of the f-number in the problem's optics. Numbers of the camera parts have a prior
         about 0, as wide as cameras vary.
+    modes : prior of the modes; measurement and likelihood of the end are without it
     """
     problem, start = wide_enough(problem, start)
-    prior = camera_prior(problem.model.optics, f_number_std)
+    prior, state = camera_prior(problem.model.optics, f_number_std), start.state
     end, steps, converged = climb(
-        Opened(problem, problem.drawn(start.state), start.state, *prior, exact=False),
+        Opened(problem, problem.drawn(state), state, *prior, modes, exact=False),
         tolerance=SETTINGS.settled_stds,
         max_steps=SETTINGS.most_steps,
         damping=0.0,
@@ -254,6 +249,7 @@ class Opened(Position):
     at : the state; its drawing is kept until the slopes are known
     first : state where the climb began
     given, precision : (camera,) mean and inverse variance of the camera parameters' prior
+    modes : their prior
     exact : whether slopes cover the whole pass band
     last : start of the last step and the step (p,), if the position was predicted from slopes
     """
@@ -263,16 +259,19 @@ class Opened(Position):
     first: State
     given: Floats
     precision: Floats
+    modes: Prior | None = None
     exact: bool = True
     last: tuple[Opened, Floats] | None = None
 
     @cached_property
     def objective(self) -> float:
-        """Log-likelihood of frames, noise calibration and camera; -inf at implausible positions."""
+        """Log-likelihood of frames, noise calibration, camera and modes; -inf at implausible positions."""
         if not self.at.relative:
             return -np.inf
-        prior = -0.5 * float(self.precision @ self._away**2)
-        return self.problem.objective(self.at.state, self.at.relative) + prior
+        lost = 0.5 * float(self.precision @ self._away**2)
+        if self.modes:
+            lost += self.modes.loss(self.at.state.waves)
+        return self.problem.objective(self.at.state, self.at.relative) - lost
 
     @property
     def _away(self) -> Floats:
@@ -290,6 +289,9 @@ class Opened(Position):
         expansion, gradient = self.expansion, self.expansion.gradient.copy()
         information = expansion.stiffened(self.precision)
         gradient[expansion.camera] -= self.precision * self._away
+        if self.modes:
+            waves = self.at.state.waves
+            gradient, information = self.modes.joined(gradient, information, waves)
         damped = information + np.diag(damping * np.diag(information))
         covariance = inverse(damped)
         change = expansion.within(covariance @ gradient, covariance)

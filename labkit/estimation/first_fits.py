@@ -8,7 +8,7 @@ import numpy as np
 
 from labkit.estimation.local import Found, Optimum
 from labkit.estimation.observation import Observation
-from labkit.estimation.select import Selection
+from labkit.estimation.select import OUT, Selection
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.starts import near_focus
 from labkit.imaging.optics import Optics
@@ -156,6 +156,35 @@ def beside(
     nearest = int(np.argmin(np.linalg.norm(away[:, :modes], axis=1)))
     values = lens.measured.values[of_channel[nearest]] + away[nearest]
     return optics.with_named(lens.model.parts, values[modes:-1]), values[:modes]
+
+
+def in_other_colour(
+    observations: Sequence[Observation], fits: Mapping[int, Optimum], place: int
+) -> Optimum | None:
+    """Return the explained fit of another channel at an observation's station and tile, if its pupil is not round.
+
+    The numbers of a cut pupil and its modes belong together: means over stations need not. None without such a fit.
+    """
+    here = observations[place]
+    for k, fit in fits.items():
+        there = observations[k]
+        same = (there.range_mm, there.tile) == (here.range_mm, here.tile)
+        tells = fit.verdict.accepted and not fit.optics.rim.is_round
+        if same and there.channel != here.channel and tells:
+            return fit
+    return None
+
+
+def confirmed(found: Mapping[int, Found], selection: Selection | None) -> bool:
+    """Return whether anchors confirm each other: several starts returned to the optimum of each, and all belong to one lens.
+
+    If none of them is explained, the model is then incomplete for all.
+    """
+    if selection is None or not all(each.returns for each in found.values()):
+        return False
+    inside = np.flatnonzero(selection.members)
+    stations = {selection.observed[k].reading.station for k in inside}
+    return len(stations) > 1 and bool(selection.members[selection.choice != OUT].all())
 
 
 def known_poses(

@@ -14,6 +14,7 @@ from labkit.estimation.climb import NoisePrior, Problem, Start, State
 from labkit.estimation.expansion import Freed, free_f_number, with_optics_about
 from labkit.estimation.held import expanded_about
 from labkit.estimation.likelihood import FrameData, predict
+from labkit.estimation.prior import Prior
 from labkit.estimation.residuals import Verdict, judge, residual_spectrum
 from labkit.estimation.ridge import Ridge
 from labkit.estimation.scores import ScoreTest, score_tests, twin_scores
@@ -198,6 +199,7 @@ class Guesses:
     starts : wavefronts (modes,) predicted by other frames
     poses : pose of the target in every frame, from another channel, right to a fraction of a pixel; empty if unknown
     modes : predicted wavefronts with unknown defocus
+    known : whether these wavefronts are those of explained fits: with a cut pupil, climbs stay near where light does not tell
     deep : whether to search on if the first optima are not explained
     alone : whether there are no frames at other ranges to reveal a wrong optimum
     score : parts and groups of modes to test for, which the model lacks
@@ -213,6 +215,7 @@ class Guesses:
     starts: tuple[Floats, ...] = ()
     poses: tuple[Pose, ...] = ()
     modes: tuple[Floats, ...] = ()
+    known: bool = False
     deep: bool = True
     alone: bool = True
     score: tuple[str, ...] = ()
@@ -332,7 +335,8 @@ class _Search:
                 yield waves, starts.settled(self.sketches.problem(guess), guess).state
         for waves in guesses.modes:
             guess = replace(self.first, waves=np.asarray(waves, float))
-            for state in starts.at_known_modes(self.sketches, guess, log):
+            prior = self._prior(guess.waves)
+            for state in starts.at_known_modes(self.sketches, guess, log, prior):
                 yield waves, state
         if guesses.deep or not (guesses.state or guesses.starts or guesses.modes):
             swept = starts.swept(
@@ -348,9 +352,18 @@ class _Search:
             if len(state.poses) == len(self.views.poses) > 1
             else self._all_frames(state)
         )
-        free = expanded_about if self.guesses.held else free_f_number
         problem, begin = self._likelier(begin)
-        return free(problem, Start(begin), self.guesses.f_number_std)
+        start, f_number_std = Start(begin), self.guesses.f_number_std
+        if self.guesses.held:
+            return expanded_about(problem, start, f_number_std)
+        return free_f_number(problem, start, f_number_std, self._prior(begin.waves))
+
+    def _prior(self, waves: Floats) -> Prior | None:
+        """Return the prior of the modes, about a wavefront (modes,) if it is known; None where a round pupil tells all."""
+        optics = self.whole.model.optics
+        if optics.rim.is_round:
+            return None
+        return Prior.of_lens(optics.noll, waves if self.guesses.known else None)
 
     def _likelier(self, state: State) -> tuple[Problem, State]:
         """Return the whole problem and a state of all frames, or the optics and modes beside if these are likelier."""

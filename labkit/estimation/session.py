@@ -16,7 +16,9 @@ from labkit.estimation.first_fits import (
     beside,
     best_predicted,
     clearest,
+    confirmed,
     first_of,
+    in_other_colour,
     known_poses,
     nearest_fitted,
     spread,
@@ -176,28 +178,14 @@ class _Loop:
         return self._predicted(left, selection)
 
     def _undecided(self) -> list[int]:
-        """Return the anchors if none is explained and they do not confirm each other.
-
-        Anchors confirm each other if several starts came back to the optimum of each and all belong to one lens: the model
-        is then incomplete for all, and no search continues. After a search without limit none continues either.
-        """
+        """Return the anchors if none is explained or confirmed by the others; none after a search without limit."""
         if (
             self.deep
             or len(self.found) > len(self.anchors)
             or any(found.best.verdict.accepted for found in self.found.values())
+            or confirmed(self.found, self.selection())
         ):
             return []
-        selection = self.selection()
-        if selection is not None:
-            inside = np.flatnonzero(selection.members)
-            stations = {selection.observed[k].reading.station for k in inside}
-            returned = all(found.returns for found in self.found.values())
-            if (
-                returned
-                and len(stations) > 1
-                and selection.members[selection.choice != OUT].all()
-            ):
-                return []
         return list(self.found)
 
     def _from_nothing(self, *, deep: bool) -> Guesses:
@@ -245,9 +233,9 @@ class _Loop:
         for k in best_predicted(self.observations, self.found, stds, terms):
             beside = nearest_fitted(self.observations, self.found, k)
             known = () if beside is None else (self.chosen(beside).waves,)
-            guesses[k] = self._guess(
-                starts=known, modes=known or (predicted[self.rows[k], :modes],)
-            )
+            colour = in_other_colour(self.observations, self._fits, k)
+            likely = colour.waves if colour else predicted[self.rows[k], :modes]
+            guesses[k] = self._guess(starts=known, modes=known or (likely,))
         return guesses
 
     def _badly_predicted(self, selection: Selection) -> dict[int, Guesses]:
@@ -314,7 +302,12 @@ class _Loop:
         known = first_of(self.found).verdict.accepted
         f_number_std = SETTINGS.shared_f_number_std if known else unknown.f_number_std
         return replace(
-            unknown, f_number_std=f_number_std, starts=starts, poses=poses, modes=modes
+            unknown,
+            f_number_std=f_number_std,
+            starts=starts,
+            poses=poses,
+            modes=modes,
+            known=known,
         )
 
     # fits
@@ -325,6 +318,10 @@ class _Loop:
         wanted = dict[int, tuple[Optics, Guesses]]()
         for k, guess in guesses.items():
             optics = self._optics(k, selection)
+            if guess.modes and (
+                colour := in_other_colour(self.observations, self._fits, k)
+            ):
+                optics = optics.with_rim_of(colour.optics)
             if selection is not None and not (optics.rim.is_round or guess.held):
                 likened = beside(self.observations, self.rows, selection, k, optics)
                 guess = replace(guess, beside=likened)
@@ -382,6 +379,11 @@ class _Loop:
         fitted = any(one.candidates for one in every)
         return select(every, self.stated) if fitted else None
 
+    @property
+    def _fits(self) -> dict[int, Optimum]:
+        """The chosen optima, in the order of the observations."""
+        return {k: self.chosen(k) for k in sorted(self.found)}
+
     def chosen(self, k: int) -> Optimum:
         """Return the optimum of observation k, with the session's sign if the session decides it."""
         selection, found = self.selection(), self.found[k]
@@ -436,9 +438,8 @@ class _Loop:
         self.search.conclude(self._to_come())
         if not self._camera_parts:
             return self._asked(whole, self.camera.missing, self.camera.with_missing)
-        ends = {k: self.chosen(k) for k in sorted(self.found)}
         without = self._camera_parts if plain else self._of_the_body
-        stated = StatedCamera(self.refits, ends, self.parts, without)
+        stated = StatedCamera(self.refits, self._fits, self.parts, without)
         if not plain and not (without and stated.explains()):
             return self._asked(whole, (), {})
         self.search.later = self._to_come(bare=False)
@@ -446,7 +447,7 @@ class _Loop:
         if not plain:
             return replace(self._asked(whole, (), {}), stated_camera=bare)
         missing = (*self.camera.missing, *sorted(self._camera_parts))
-        return self._asked(bare, missing, ends, adopted=False)
+        return self._asked(bare, missing, self._fits, adopted=False)
 
     def _asked(
         self,

@@ -70,9 +70,6 @@ class Settings:
     """Damping of the first step: with 1e-3, climbs jumped to other optima where modes have one wave RMS."""
     strong_steps: int = 30
     """Largest number of steps: climbs to the right optimum took 16 to 30 in the coarsest pictures, others more."""
-    strong_modes_std: float = 0.15
-    """Standard deviation of each mode beyond defocus before any photograph, waves RMS: it holds what a sketch leaves open."""
-
     # small_problem: one frame, its pose held
     small_window_airy: float = 32.0
     """Window of PSFs: light farther out hardly depends on the wavefront."""
@@ -107,6 +104,9 @@ class Settings:
     """Standard error above which a combination of modes (waves), or the variance of the noise (relative), is undetermined."""
 
     # lens_model: what is known of every lens, camera and rail before a session
+    usual_waves: float = 0.15
+    """Standard deviation of each mode beyond defocus before any photograph. It holds what light does not tell: in sketches of
+    strong wavefronts, and behind a cat's eye, where modes have errors of several waves together."""
     mistake_odds: float = 0.1
     """Odds, before any photograph, that a stated number is a mistake, and probability of a plan without mistakes below which
     the results assume the likeliest mistake. With lower odds a pitch that is 5 % off at close range, which photographs hardly
@@ -169,6 +169,9 @@ class Settings:
     """RMS over the modes: a smaller difference is no other optimum."""
     shared_f_number_std: float = 0.01
     """Relative error of a working f-number that other frames of the session measured."""
+    known_waves: float = 0.03
+    """Standard deviation of each mode beyond defocus about what explained fits tell, for a cut pupil: wider than errors of
+    predictions and differences between colours."""
 
     @property
     def f_number_margin(self) -> float:

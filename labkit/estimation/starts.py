@@ -15,6 +15,7 @@ import numpy as np
 
 from labkit.estimation.climb import NoisePrior, Problem, Solution, State, maximize
 from labkit.estimation.likelihood import FrameData
+from labkit.estimation.prior import Prior
 from labkit.estimation.residuals import judge
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.small_problem import PhaseRetrieval, Retrieved, random_wavefront
@@ -215,11 +216,13 @@ def fitted_light(
     return misfit, replace(state, scales=scales, ambients=ambients)
 
 
-def at_known_modes(sketches: Sketches, state: State, log: Log) -> Iterator[State]:
-    """Yield climbs from the two best values of a sweep over defocus, the other modes predicted."""
+def at_known_modes(
+    sketches: Sketches, state: State, log: Log, prior: Prior | None
+) -> Iterator[State]:
+    """Yield climbs from the two best values of a sweep over defocus, the other modes predicted. prior: of the modes."""
     for swept_state in sweep(sketches, state)[:2]:
         log.starts += 1
-        yield searched_from(sketches.problem(swept_state), swept_state).state
+        yield searched_from(sketches.problem(swept_state), swept_state, prior).state
 
 
 def swept(
@@ -330,8 +333,8 @@ def settled(problem: Problem, start: State) -> Solution:
     return maximize(problem, start, free_waves=False, max_steps=4, tolerance=1.0)
 
 
-def searched_from(problem: Problem, start: State) -> Solution:
-    """Climb from a start, pose and light first.
+def searched_from(problem: Problem, start: State, prior: Prior | None = None) -> Solution:
+    """Climb from a start, pose and light first. prior: of the modes.
 
     With all parameters free at once, from a pose a pixel off, a climb ended in a wrong minimum of an easy frame.
     """
@@ -340,6 +343,7 @@ def searched_from(problem: Problem, start: State) -> Solution:
         settled(problem, start).state,
         max_steps=SETTINGS.most_steps,
         tolerance=SETTINGS.settled_stds,
+        prior=prior,
     )
 
 

@@ -15,17 +15,9 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from labkit.estimation.climb import (
-    Position,
-    Problem,
-    Start,
-    State,
-    Step,
-    climb,
-    damped_step,
-    sane,
-)
+from labkit.estimation.climb import Problem, Start, State, sane
 from labkit.estimation.coarse import Coarse
+from labkit.estimation.levenberg_marquardt import Position, Step, climb, damped_step
 from labkit.estimation.local import Views
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.starts import settled
@@ -248,7 +240,7 @@ class _Stations(Position):
         """Weighted log-likelihood of the frames, with the priors of common modes and defocus."""
         if not all(map(sane, self.states, self.firsts)):
             return -np.inf
-        away = self._modes / SETTINGS.strong_modes_std
+        away = self._modes / SETTINGS.usual_waves
         prior = float(away @ away + self._off @ self.precision @ self._off)
         return self.weight * self.log_likelihood - 0.5 * prior
 
@@ -270,7 +262,7 @@ class _Stations(Position):
             gradient[at] += self.weight * slope
             information[np.ix_(at, at)] += self.weight * curvature
             places.append(at)
-        precision = SETTINGS.strong_modes_std**-2
+        precision = SETTINGS.usual_waves**-2
         gradient[:common] -= precision * self._modes
         information[np.arange(common), np.arange(common)] += precision
         defocus = np.array([at[0] for at in places])

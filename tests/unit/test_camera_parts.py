@@ -333,6 +333,12 @@ def test_a_cats_eye_without_an_uneven_rim_begins_on_all_sides() -> None:
     assert replace(OPTICS, parts=(CatsEye(),)).rim.is_round
 
 
+def test_the_rim_of_other_optics_leaves_all_other_parts() -> None:
+    ours = replace(OPTICS, parts=(LowPass(0.2, 0.1), CatsEye(0.1, 0.0, 0.1)))
+    other = replace(OPTICS, parts=(LowPass(0.4, 0.3), CatsEye(0.3, 0.2, 0.0)))
+    assert ours.with_rim_of(other).parts == (ours.parts[0], other.parts[1])
+
+
 def test_a_cats_eye_excludes_an_uneven_rim_and_keeps_its_centre_inside() -> None:
     assert "uneven_rim" not in replace(OPTICS, parts=(CatsEye(0.3, 0.0, 0.1),)).lacking
     assert "cats_eye" not in OPTICS.lacking

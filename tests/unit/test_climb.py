@@ -11,17 +11,14 @@ import pytest
 from labkit.estimation.climb import (
     PER_FRAME,
     NoisePrior,
-    Position,
     Problem,
     Solution,
     Start,
     State,
-    Step,
-    climb,
-    damped_step,
     maximize,
 )
 from labkit.estimation.expansion import free_f_number
+from labkit.estimation.levenberg_marquardt import Position, Step, climb, damped_step
 from labkit.estimation.likelihood import FrameData
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from labkit.estimation.first_fits import (
     beside,
     best_predicted,
     clearest,
+    in_other_colour,
     nearest_fitted,
     spread,
     telling,
@@ -19,6 +22,7 @@ from labkit.estimation.local import Found
 from labkit.estimation.observation import Observation
 from labkit.estimation.select import select
 from labkit.estimation.stated import Stated, optics_of
+from labkit.imaging.parts import CatsEye
 from labkit.imaging.warp import Pose
 from tests.optimum_samples import (
     NOISE,
@@ -65,6 +69,18 @@ def test_a_tile_begins_from_its_nearest_fitted_neighbour(
 def test_a_neighbour_is_of_the_same_channel_and_range() -> None:
     others = [tile(3), tile(3, "R"), tile(3, range_mm=1260.0)]
     assert nearest_fitted(others, [1, 2], 0) is None
+
+
+def test_another_colour_of_the_station_tells_a_cut_pupil_if_it_is_explained() -> None:
+    seen, optics = observations("GR"), optics_of(PLAN, "G")
+    eye, plain = CatsEye(0.3, 0.0, 0.0), optimum(optics, RANGES_MM[0])
+    cut = replace(plain, optics=replace(optics, parts=(eye,)))
+    assert in_other_colour(seen, {0: cut}, 1) is cut
+    assert in_other_colour(seen, {0: cut}, 0) is None
+    assert in_other_colour(seen, {0: cut}, 3) is None
+    unexplained = replace(cut, verdict=replace(cut.verdict, accepted=False))
+    assert in_other_colour(seen, {0: unexplained}, 1) is None
+    assert in_other_colour(seen, {0: plain}, 1) is None
 
 
 def test_the_most_alike_fit_is_moved_by_the_predicted_difference() -> None:
