@@ -161,15 +161,15 @@ def beside(
 def in_other_colour(
     observations: Sequence[Observation], fits: Mapping[int, Optimum], place: int
 ) -> Optimum | None:
-    """Return the explained fit of another channel at an observation's station and tile, if its pupil is not round.
+    """Return the explained fit of another channel at an observation's station and tile, if it is behind a cat's eye.
 
-    The numbers of a cut pupil and its modes belong together: means over stations need not. None without such a fit.
+    The circle and the modes belong together: means over stations need not. None without such a fit.
     """
     here = observations[place]
     for k, fit in fits.items():
         there = observations[k]
         same = (there.range_mm, there.tile) == (here.range_mm, here.tile)
-        tells = fit.verdict.accepted and not fit.optics.rim.is_round
+        tells = fit.verdict.accepted and not fit.optics.rim.is_full
         if same and there.channel != here.channel and tells:
             return fit
     return None

@@ -199,7 +199,7 @@ class Guesses:
     starts : wavefronts (modes,) predicted by other frames
     poses : pose of the target in every frame, from another channel, right to a fraction of a pixel; empty if unknown
     modes : predicted wavefronts with unknown defocus
-    known : whether these wavefronts are those of explained fits: with a cut pupil, climbs stay near where light does not tell
+    known : whether these wavefronts are those of explained fits: behind a cat's eye climbs stay near where light does not tell
     deep : whether to search on if the first optima are not explained
     alone : whether there are no frames at other ranges to reveal a wrong optimum
     score : parts and groups of modes to test for, which the model lacks
@@ -359,9 +359,9 @@ class _Search:
         return free_f_number(problem, start, f_number_std, self._prior(begin.waves))
 
     def _prior(self, waves: Floats) -> Prior | None:
-        """Return the prior of the modes, about a wavefront (modes,) if it is known; None where a round pupil tells all."""
+        """Return the prior of the modes behind a cat's eye, about a wavefront (modes,) if it is known; None for full pupils."""
         optics = self.whole.model.optics
-        if optics.rim.is_round:
+        if optics.rim.is_full:
             return None
         return Prior.of_lens(optics.noll, waves if self.guesses.known else None)
 

@@ -170,7 +170,7 @@ class Settings:
     shared_f_number_std: float = 0.01
     """Relative error of a working f-number that other frames of the session measured."""
     known_waves: float = 0.03
-    """Standard deviation of each mode beyond defocus about what explained fits tell, for a cut pupil: wider than errors of
+    """Standard deviation of each mode beyond defocus about what explained fits tell, behind a cat's eye: wider than errors of
     predictions and differences between colours."""
 
     @property

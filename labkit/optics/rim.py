@@ -215,10 +215,15 @@ class Rim:
         )
         return self if len(kept) == len(self.cuts) else replace(self, cuts=kept)
 
+    @property
+    def is_full(self) -> bool:
+        """Return whether no circle cuts the pupil to a cat's eye."""
+        return self.full is self
+
     @cached_property
     def area(self) -> float:
         """Clear area over the full pupil's: 1 unless a cat's eye cuts the pupil."""
-        if self.full is self:
+        if self.is_full:
             return 1.0
         share = self.obstructed / (1 - self.obstructed)
         return self._scale**2 * self._outline_area / np.pi - share

@@ -71,7 +71,7 @@ def test_a_neighbour_is_of_the_same_channel_and_range() -> None:
     assert nearest_fitted(others, [1, 2], 0) is None
 
 
-def test_another_colour_of_the_station_tells_a_cut_pupil_if_it_is_explained() -> None:
+def test_another_colour_of_the_station_tells_a_cats_eye_if_it_is_explained() -> None:
     seen, optics = observations("GR"), optics_of(PLAN, "G")
     eye, plain = CatsEye(0.3, 0.0, 0.0), optimum(optics, RANGES_MM[0])
     cut = replace(plain, optics=replace(optics, parts=(eye,)))
