@@ -70,6 +70,7 @@ class Settings:
     """Damping of the first step: with 1e-3, climbs jumped to other optima where modes have one wave RMS."""
     strong_steps: int = 30
     """Largest number of steps: climbs to the right optimum took 16 to 30 in the coarsest pictures, others more."""
+
     # small_problem: one frame, its pose held
     small_window_airy: float = 32.0
     """Window of PSFs: light farther out hardly depends on the wavefront."""

@@ -9,6 +9,7 @@ import pytest
 
 from labkit.estimation.climb import Problem, Start, State
 from labkit.estimation.expansion import Freed, free_f_number
+from labkit.estimation.local import Guesses, Views, find_optima
 from labkit.estimation.prior import Prior
 from labkit.estimation.settings import SETTINGS
 from labkit.imaging.model import ForwardModel
@@ -70,3 +71,18 @@ def test_what_light_does_not_tell_stays_where_it_is_known() -> None:
         along @ end.measured.covariance[of_modes, of_modes] @ along for end in (known, free)
     ]
     assert np.sqrt(variances[0]) == pytest.approx(np.sqrt(variances[1]), rel=0.35)
+
+
+@pytest.mark.parametrize(("known", "expected"), [(True, 0.0031), (False, 0.25)])
+def test_a_refit_behind_a_cats_eye_stays_near_a_known_wavefront(
+    known: bool, expected: float
+) -> None:
+    """A wavefront that is not known, 0.3 waves off, is drawn back to 0 by the prior."""
+    problem, truth = behind_the_eye()
+    along = weakest(free_f_number(problem, Start(truth), 0.01))
+    begun = replace(truth, waves=truth.waves + 0.3 * along)
+    views = Views(problem.frames, truth.poses, problem.noise)
+    guess = Guesses(0.01, state=begun, known=known, deep=False)
+    end = find_optima(CUT, CARPET, views, guess).best
+    moved = abs((end.waves - begun.waves) @ along)
+    assert expected / 2 < moved < 2 * expected
