@@ -47,7 +47,7 @@ class StrongSearch:
         Many modes nearly explain what an obstruction does, at wrong optima. So the search is made with each such part before it
         is made with all modes; what the part does not explain may then be modes, which go on without a part that hardly does
         anything. Where neither is enough, a cat's eye is tried with the part: it moves the clear part, and so the middle of the
-        obstruction.
+        obstruction. An end without an obstruction does not count.
 
         Parameters
         ----------
@@ -74,7 +74,12 @@ class StrongSearch:
                 k: one.log_likelihood + cost(way) - cost(parts) for k, one in best.items()
             }
             ends = self._ends(self._stations(found), way, least)
-            whole = modes | (way - idle([one.best for one in ends.values()], way - parts))
+            left = idle([one.best for one in ends.values()], way - parts)
+            if (
+                way in cut and left
+            ):  # an eye alone is for the choice of parts, which fits all its sides
+                continue
+            whole = modes | (way - left)
             refits = self._refits_of_a_way()
             if whole != way:
                 ends = _refitted(refits, ends, way, whole)

@@ -19,6 +19,7 @@ from labkit.estimation.climb import Problem, Start, State, sane
 from labkit.estimation.coarse import Coarse
 from labkit.estimation.levenberg_marquardt import Position, Step, climb, damped_step
 from labkit.estimation.local import Views
+from labkit.estimation.prior import Prior
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.starts import settled
 from labkit.imaging.optics import Optics
@@ -158,6 +159,7 @@ def _climbed(task: TogetherTask, width_airy: float, begun: _End) -> _End:
         firsts,
         np.array(defocus),
         _precision(defocus),
+        Prior.of_lens(begun.optics.noll[1:]),
         # far from an optimum misfit counts as noise, or coarse pictures outweigh what is known of defocus
         1 / max(1.0, float(misfit)),
     )
@@ -200,6 +202,7 @@ class _Stations(Position):
     states : the present states, all modes but the first the same
     expected : (stations,) expected defocus, waves RMS, but for best focus
     precision : (stations, stations) inverse covariance of defocus about it
+    prior : of the common modes
     weight : weight of the frames beside what is known of modes and defocus
     """
 
@@ -208,6 +211,7 @@ class _Stations(Position):
     states: tuple[State, ...]
     expected: Floats
     precision: Floats
+    prior: Prior
     weight: float
 
     @cached_property
@@ -240,9 +244,9 @@ class _Stations(Position):
         """Weighted log-likelihood of the frames, with the priors of common modes and defocus."""
         if not all(map(sane, self.states, self.firsts)):
             return -np.inf
-        away = self._modes / SETTINGS.usual_waves
-        prior = float(away @ away + self._off @ self.precision @ self._off)
-        return self.weight * self.log_likelihood - 0.5 * prior
+        loss = self.prior.loss(self._modes)
+        loss += 0.5 * float(self._off @ self.precision @ self._off)
+        return self.weight * self.log_likelihood - loss
 
     @cached_property
     def _slopes(self) -> tuple[Floats, Floats, list[npt.NDArray[np.intp]]]:
@@ -262,9 +266,7 @@ class _Stations(Position):
             gradient[at] += self.weight * slope
             information[np.ix_(at, at)] += self.weight * curvature
             places.append(at)
-        precision = SETTINGS.usual_waves**-2
-        gradient[:common] -= precision * self._modes
-        information[np.arange(common), np.arange(common)] += precision
+        gradient, information = self.prior.joined(gradient, information, self._modes)
         defocus = np.array([at[0] for at in places])
         gradient[defocus] -= self.precision @ self._off
         information[np.ix_(defocus, defocus)] += self.precision

@@ -15,6 +15,7 @@ from typing import Protocol, Self
 
 import numpy as np
 
+from labkit.optics.ellipse import CIRCLE, Ellipse
 from labkit.types import Bools, Floats
 
 FULL_TURN = 2 * np.pi
@@ -310,6 +311,21 @@ class Rim:
         P. J. Clark, J. W. Howard and E. R. Freniere, Appl. Opt. 23, 353 (1984).
         """
         return self._extent[2]
+
+    @cached_property
+    def halo_ellipse(self) -> Ellipse:
+        """The ellipse whose halo is as uneven as this pupil's, but for harmonics of the direction from the fourth on.
+
+        The halo in a direction is the light from edges across it: a cat's eye has more along the shift than along its corners.
+        """
+        if self.is_round:
+            return CIRCLE
+        edges = [edge[::2] @ (1, 1j) for edge in self.edges(OUTLINE_ARCS)]
+        steps = np.concatenate([np.roll(edge, -1) - edge for edge in edges])
+        lengths = np.abs(steps)
+        long = lengths > 0
+        across = -np.sum(steps[long] ** 2 / lengths[long]) / lengths.sum()
+        return Ellipse.with_edges(complex(across))
 
     @property
     def outer(self) -> float:
