@@ -68,9 +68,9 @@ def true_values(range_mm: float) -> Floats:
 
 
 def measured_by(
-    optics: Optics, range_mm: float, off: Sequence[float], square: float
+    optics: Optics, range_mm: float, off: Sequence[float], square: float | Floats
 ) -> Measured:
-    """What a fit measures whose modes are off by some waves, and whose camera parts have one number, known to 0.01."""
+    """What a fit measures whose modes are off by some waves, and whose camera parts have one number, or some, known to 0.01."""
     defocus, astigmatism, cone, scale = true_values(range_mm) + np.array([*off, 0.0, 0.0])
     plain = measured(np.array([defocus, cone, scale]), {5: astigmatism})
     labels = optics.camera_labels
@@ -93,7 +93,7 @@ def optimum(
     range_mm: float,
     *,
     off: Sequence[float] = (0.0, 0.0),
-    square: float = 0.0,
+    square: float | Floats = 0.0,
     height: float = 0.0,
     explained: bool = True,
     unexplained: float = 0.0,
