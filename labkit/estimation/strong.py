@@ -47,7 +47,7 @@ class StrongSearch:
         Many modes nearly explain what an obstruction does, at wrong optima. So the search is made with each such part before it
         is made with all modes; what the part does not explain may then be modes, which go on without a part that hardly does
         anything. Where neither is enough, a cat's eye is tried with the part: it moves the clear part, and so the middle of the
-        obstruction. An end without an obstruction does not count.
+        obstruction. An end without the part does not count: the choice of parts fits an eye alone, with all modes.
 
         Parameters
         ----------
@@ -75,9 +75,7 @@ class StrongSearch:
             }
             ends = self._ends(self._stations(found), way, least)
             left = idle([one.best for one in ends.values()], way - parts)
-            if (
-                way in cut and left
-            ):  # an eye alone is for the choice of parts, which fits all its sides
+            if way in cut and left:
                 continue
             whole = modes | (way - left)
             refits = self._refits_of_a_way()
