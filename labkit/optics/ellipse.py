@@ -51,6 +51,12 @@ class Ellipse:
         along, across = x * cosine + y * sine, y * cosine - x * sine
         return np.asarray(np.hypot(along / root, across * root))
 
+    @property
+    def halo(self) -> float:
+        """Length of the edge, over a circle's: the light in the diffraction halo."""
+        short, long = _edge(self.stretch)
+        return float(np.hypot(short, long).mean() / self.stretch**0.5)
+
     @classmethod
     def with_edges(cls, uneven: complex) -> Ellipse:
         """Return the ellipse with an unevenness of its edges: the mean of exp(2i angle) of their normals."""
@@ -66,9 +72,17 @@ class Ellipse:
 CIRCLE = Ellipse()
 
 
+def _edge(stretch: float) -> tuple[Floats, Floats]:
+    """Return an ellipse's normals (points,) along its shortest and its longest diameter, as long as their arcs.
+
+    The unit is the shortest radius, for a full turn of the parameter.
+    """
+    turn = np.linspace(0, 2 * np.pi, RIM_POINTS, endpoint=False)
+    return stretch * np.sin(turn), np.cos(turn)
+
+
 def _uneven(stretch: float) -> float:
     """Return the mean of cos(2 angle) of an ellipse's normals, the angles from its shortest diameter."""
-    turn = np.linspace(0, 2 * np.pi, RIM_POINTS, endpoint=False)
-    short, long = stretch * np.sin(turn), np.cos(turn)
+    short, long = _edge(stretch)
     length = np.hypot(short, long)
     return float(np.sum((short**2 - long**2) / length) / np.sum(length))

@@ -366,9 +366,9 @@ class Pupil:
         """
         if self.rim.is_round:
             return self
-        rim = Rim((self.rim.halo_ellipse,))
-        f_number = self.f_number * self.rim.halo / rim.halo
-        return replace(self, f_number=f_number, rim=rim, noll=())
+        ellipse = self.rim.halo_ellipse
+        f_number = self.f_number * self.rim.halo / ellipse.halo
+        return replace(self, f_number=f_number, rim=Rim((ellipse,)), noll=())
 
     def psf_at(
         self, waves: Floats, at_um: Floats, only: slice = slice(None)

@@ -353,7 +353,7 @@ def test_the_halo_of_an_eye_is_as_uneven_as_its_ellipse_s() -> None:
     rim, shift = Rim(eye), 0.004
     ellipse, angles = rim.halo_ellipse, np.linspace(0, np.pi, 12, endpoint=False)
     fall = 1 - shared(eye, shift, angles)
-    cone = 0.5 * shift * rim.halo / Rim((ellipse,)).halo
+    cone = 0.5 * shift * rim.halo / ellipse.halo
     of_ellipse = 1 - diffraction_mtf(
         ellipse.distance(cone * np.cos(angles), cone * np.sin(angles))
     )
