@@ -235,8 +235,9 @@ def find_optima(
 ) -> Found:
     """Search for the optima of one observation's likelihood.
 
-    The search ends with the first optimum whose residuals are noise alone, or that agrees with a prediction. Undetermined
-    modes have huge errors, and their optimum is rejected.
+    The search ends with the first optimum whose residuals are noise alone, or that agrees with a prediction. Where modes are
+    known behind a cat's eye it must agree, since others leave noise alone too. Undetermined modes have huge errors, and their
+    optimum is rejected.
 
     Parameters
     ----------
@@ -263,9 +264,7 @@ def find_optima(
         optima = _with(optima, optimum)
         if optima[0] is optimum:
             expansion = freed.expansion
-        if optimum.verdict.accepted or (
-            guess is not None and _as_predicted(optimum, guess)
-        ):
+        if search.ends_with(optimum, guess):
             break
     explained = any(optimum.verdict.accepted for optimum in optima)
     names = guesses.score
@@ -357,6 +356,14 @@ class _Search:
         if self.guesses.held:
             return expanded_about(problem, start, f_number_std)
         return free_f_number(problem, start, f_number_std, self._prior(begin.waves))
+
+    def ends_with(self, optimum: Optimum, guess: Floats | None) -> bool:
+        """Return whether the search ends with an optimum. guess: predicted modes (modes,); None without."""
+        if guess is None:
+            return optimum.verdict.accepted
+        away = float(np.linalg.norm((optimum.waves - guess)[1:]))
+        known = self.guesses.known and not optimum.optics.rim.is_full
+        return away < SETTINGS.sure_waves or (optimum.verdict.accepted and not known)
 
     def _prior(self, waves: Floats) -> Prior | None:
         """Return the prior of the modes behind a cat's eye, about a wavefront (modes,) if it is known; None for full pupils."""
@@ -458,11 +465,6 @@ def _alike(one: Optimum, other: Optimum) -> bool:
         abs(one.log_likelihood - other.log_likelihood) < SETTINGS.same_optimum
         or near < SETTINGS.settled_stds * error
     )
-
-
-def _as_predicted(optimum: Optimum, waves: Floats) -> bool:
-    """Return whether an end has the predicted modes, except for defocus: then its residuals are a test of the model."""
-    return float(np.linalg.norm((optimum.waves - waves)[1:])) < SETTINGS.sure_waves
 
 
 def _below(others: Sequence[tuple[Floats, float]]) -> tuple[tuple[Floats, float], ...]:

@@ -37,8 +37,8 @@ class Blur:
     perfect lens plus the transform of PSF(wavefront) - PSF(none), which is small and
     compact. (A PSF simply cut at 160 um biases an f/2.8 fit by 0.02 waves.) The difference
     fades out towards its window's borders: otherwise rings would enter and leave as
-    f-number or wavelength change. The perfect lens of a pupil that is no disc is the disc
-    with the same halo.
+    f-number or wavelength change. The perfect lens of a pupil that is no disc is the ellipse
+    with the same halo (`Pupil.halo`).
     """
 
     torus: Torus
@@ -85,7 +85,7 @@ class Blur:
         halo = pupil.halo
         airy_um = halo.wavelength_um * halo.f_number
         perfect = sum(
-            share * perfect_lens(torus, node * airy_um)
+            share * perfect_lens(torus, node * airy_um, pupil.rim.halo_ellipse)
             for share, node in self.spectrum.shares
         )
         for name, value in (
@@ -205,10 +205,11 @@ class Blur:
         halo = self._halo
         flat = np.zeros(len(halo.noll))
         airy_um = halo.wavelength_um * halo.f_number
+        rim = self.pupil.rim.halo_ellipse
         for share, node in self.spectrum.shares:
             for sign, pupil, at in ((1, self.pupil, waves), (-1, halo, flat)):
                 departure += sign * share * pupil.stretched_slope(at / node, node)
-            perfect += share * perfect_lens_slope(self.torus, node * airy_um)
+            perfect += share * perfect_lens_slope(self.torus, node * airy_um, rim)
         return self._through_camera(
             self._of(departure.astype(np.float32), _times(perfect, *self._pixel))
         )
@@ -223,11 +224,12 @@ class Blur:
         halo = self._halo
         flat = np.zeros(len(halo.noll))
         airy_um = halo.wavelength_um * halo.f_number
+        rim = self.pupil.rim.halo_ellipse
         for node, slope in slopes.items():
             departure += slope * (
                 self.pupil.stretched(waves / node, node) - halo.stretched(flat, node)
             )
-            perfect += slope * perfect_lens(self.torus, node * airy_um)
+            perfect += slope * perfect_lens(self.torus, node * airy_um, rim)
         return self._through_camera(
             self._of(departure.astype(np.float32), _times(perfect, *self._pixel))
         )

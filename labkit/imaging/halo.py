@@ -9,6 +9,7 @@ import numpy as np
 from labkit.imaging.grid import Torus
 from labkit.imaging.scene import Scene
 from labkit.imaging.warp import Pose
+from labkit.optics.ellipse import CIRCLE, Ellipse
 from labkit.optics.psf import diffraction_mtf
 from labkit.target import Target
 from labkit.types import Floats
@@ -20,31 +21,36 @@ HALO_FREQUENCY = 0.12  # cycles a pixel, at 1/e of a Gaussian: light from so far
 HALO_BAND = 0.45  # cycles a pixel: there the Gaussian has fallen to 1e-6
 
 
-def perfect_lens(torus: Torus, airy_um: float) -> Floats:
+def perfect_lens(torus: Torus, airy_um: float, rim: Ellipse = CIRCLE) -> Floats:
     """Return the half plane of the transfer function of a perfect lens.
 
-    airy_um: lambda N
+    airy_um: lambda N. rim: of the pupil
     """
-    return _symmetric(torus, lambda frequency: diffraction_mtf(frequency * airy_um))
+    return _of_distance(torus, rim, lambda frequency: diffraction_mtf(frequency * airy_um))
 
 
-def perfect_lens_slope(torus: Torus, airy_um: float) -> Floats:
+def perfect_lens_slope(torus: Torus, airy_um: float, rim: Ellipse = CIRCLE) -> Floats:
     """Return the half plane of the derivative of `perfect_lens` by ln of lambda N."""
 
     def slope(frequency: Floats) -> Floats:
         nu = np.minimum(frequency * airy_um, 1.0)
         return np.asarray(-4 / np.pi * nu * np.sqrt(1 - nu**2))
 
-    return _symmetric(torus, slope)
+    return _of_distance(torus, rim, slope)
 
 
-def _symmetric(torus: Torus, function: Callable[[Floats], Floats]) -> Floats:
-    """Return the half plane of a function of the distance from frequency 0.
+def _of_distance(
+    torus: Torus, rim: Ellipse, function: Callable[[Floats], Floats]
+) -> Floats:
+    """Return the half plane of a function of the distance from frequency 0, over the ellipse's in this direction.
 
-    Columns of opposite frequency share values.
+    On a circle columns of opposite frequency share values.
     """
-    columns, places = np.unique(np.abs(torus.column_frequency), return_inverse=True)
-    return np.take(function(np.hypot(torus.row_frequency, columns)), places.ravel(), axis=1)
+    rows, columns = torus.row_frequency, torus.column_frequency
+    if rim.stretch > 1:
+        return function(rim.distance(columns, rows))
+    columns, places = np.unique(np.abs(columns), return_inverse=True)
+    return np.take(function(np.hypot(rows, columns)), places.ravel(), axis=1)
 
 
 def guards(frame: tuple[int, int], reference: Pose, reach_px: float) -> tuple[int, int]:

@@ -361,13 +361,14 @@ class Pupil:
 
     @property
     def halo(self) -> "Pupil":
-        """The disc whose perfect image has the same halo, averaged over all directions: itself where this is a disc, else
-        one without modes.
+        """The ellipse whose perfect image has the same halo, but for fourth harmonics in its direction: a disc is itself, any
+        other has no modes.
         """
         if self.rim.is_round:
             return self
-        f_number = self.f_number * self.rim.halo
-        return replace(self, f_number=f_number, rim=ROUND_RIM, noll=())
+        ellipse = self.rim.halo_ellipse
+        f_number = self.f_number * self.rim.halo / ellipse.halo
+        return replace(self, f_number=f_number, rim=Rim((ellipse,)), noll=())
 
     def psf_at(
         self, waves: Floats, at_um: Floats, only: slice = slice(None)

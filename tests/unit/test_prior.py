@@ -86,3 +86,17 @@ def test_a_refit_behind_a_cats_eye_stays_near_a_known_wavefront(
     end = find_optima(CUT, CARPET, views, guess).best
     moved = abs((end.waves - begun.waves) @ along)
     assert expected / 2 < moved < 2 * expected
+
+
+@pytest.mark.parametrize(("known", "starts"), [(True, 2), (False, 1)])
+def test_a_search_behind_a_cats_eye_goes_on_until_known_modes_are_found(
+    known: bool, starts: int
+) -> None:
+    """The frames tell coma: from the first start the climb leaves its modes for an optimum that explains them."""
+    problem, truth = behind_the_eye()
+    off = truth.waves + np.where(np.array(NOLL) == 7, 0.1, 0.0)
+    views = Views(problem.frames, truth.poses, problem.noise)
+    guess = Guesses(0.01, starts=(off, truth.waves), known=known, deep=False)
+    found = find_optima(CUT, CARPET, views, guess)
+    assert found.best.verdict.accepted
+    assert found.starts == starts
