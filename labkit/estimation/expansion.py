@@ -17,6 +17,7 @@ import scipy.linalg
 import scipy.sparse
 
 from labkit.estimation.candidate import Measured
+from labkit.estimation.carried import carried
 from labkit.estimation.climb import PER_FRAME, Problem, Solution, Start, State, sane
 from labkit.estimation.identifiability import inverse
 from labkit.estimation.levenberg_marquardt import Position, Step, climb
@@ -123,8 +124,11 @@ class Expansion:
         return self.problem.objective(self.state, [e.mean for e in self.evaluations])
 
     def moved(self, step: Floats) -> State:
-        """Return the state after a step (p,)."""
-        return self.state.moved(np.delete(step, self.camera))
+        """Return the state after a step (p,). Behind a cat's eye the wavefront moves with the clear part."""
+        straight = self.state.moved(np.delete(step, self.camera))
+        if self.optics.rim.is_full:
+            return straight
+        return carried(self.state, straight, self.optics, step[self.camera])
 
     def optics_after(self, step: Floats) -> Optics:
         """Return the optics after a step (p,)."""

@@ -243,9 +243,7 @@ def _with_the_light(begin: Optimum, optics: Optics) -> tuple[Optics, State]:
         return optics, state
     optics = replace(optics, f_number=optics.f_number / wider)
     waves, tilts = over_other_circle(optics.noll, state.waves, before, after)
-    # a tilt of Noll 2 or 3 has a slope of 2 over the radius, which moves light by twice the f-number
-    columns, rows = 4 * tilts * optics.reference_um * optics.f_number / optics.pitch_um
-    poses = tuple(pose.shifted(-rows, -columns) for pose in state.poses)
+    poses = tuple(optics.tilted(pose, tilts) for pose in state.poses)
     return optics, replace(state, waves=waves, poses=poses)
 
 

@@ -13,6 +13,7 @@ from labkit.arrays import positive
 from labkit.imaging.estimated import Estimated
 from labkit.imaging.panel_aperture import Aperture
 from labkit.imaging.parts import KNOWN, Part, SpectrumWidth, rim_of
+from labkit.imaging.warp import Pose
 from labkit.imaging.window import window_for
 from labkit.mode_groups import MODE_GROUPS, USUAL_NOLL
 from labkit.optics.psf import Pupil
@@ -232,6 +233,15 @@ class Optics:
     def shared(self) -> tuple[Part, ...]:
         """Estimated parts common to all channels of a camera."""
         return tuple(part for part in self.parts if not part.per_channel)
+
+    def tilted(self, pose: Pose, tilts: Floats) -> Pose:
+        """Return the pose whose picture without some tilts is that of a pose with them.
+
+        tilts: (2,) Noll's modes 2 and 3 at the reference wavelength
+        """
+        # such a tilt has a slope of 2 over the radius, which moves light by twice the f-number
+        columns, rows = 4 * tilts * self.reference_um * self.f_number / self.pitch_um
+        return pose.shifted(-rows, -columns)
 
     def window_airy(self, waves: Floats) -> float:
         """Return the width of the window, lambda N, that a wavefront's PSF needs.

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from labkit.optics.rim import Rim
+from labkit.optics.rim import ROUND, Rim
 from labkit.optics.zernike import modes_at
 from labkit.types import Floats
 
@@ -19,6 +19,8 @@ free, and its modes would grow."""
 
 TILTED = (1, 2, 3)
 """Piston and tilts."""
+
+PLANES = len(TILTED)
 
 
 def over_other_circle(
@@ -49,9 +51,29 @@ def over_other_circle(
     )
     basis = modes_at((*TILTED, *noll), x, y)
     normal = (basis * weights) @ basis.T
-    normal[len(TILTED) :, len(TILTED) :] += SMALL_MODES * np.eye(len(noll))
+    normal[PLANES:, PLANES:] += SMALL_MODES * np.eye(len(noll))
     found: Floats = np.asarray(np.linalg.solve(normal, (basis * weights) @ path), float)
-    return found[len(TILTED) :], found[1 : len(TILTED)]
+    return found[PLANES:], found[1:PLANES]
+
+
+def moved_over(noll: Sequence[int], waves: Floats, away: Floats, wider: float) -> Floats:
+    """Return the modes of a wavefront over a circle of another radius, about another centre; exact for whole radial orders.
+
+    Parameters
+    ----------
+    noll : the modes beside piston and tilts
+    waves : (3 + modes,) over the unit circle, piston and tilts first
+    away : (2,) x, y of the other circle's centre
+    wider : its radius
+
+    Returns
+    -------
+    (3 + modes,) over the other circle
+    """
+    x, y, weights = ROUND.quadrature(RADIAL_NODES, ANGULAR_NODES)
+    every = (*TILTED, *noll)
+    path = waves @ modes_at(every, away[0] + wider * x, away[1] + wider * y)
+    return np.asarray((modes_at(every, x, y) * weights) @ path)
 
 
 def root_over_clear_part(noll: Sequence[int], rim: Rim) -> Floats:
@@ -63,8 +85,8 @@ def root_over_clear_part(noll: Sequence[int], rim: Rim) -> Floats:
         return np.eye(len(noll))
     x, y, weights = rim.quadrature(RADIAL_NODES, ANGULAR_NODES)
     basis = modes_at((*TILTED, *noll), x, y) * np.sqrt(weights)
-    planes, _ = np.linalg.qr(basis[: len(TILTED)].T)
-    modes = basis[len(TILTED) :].T
+    planes, _ = np.linalg.qr(basis[:PLANES].T)
+    modes = basis[PLANES:].T
     modes -= planes @ (planes.T @ modes)
     values, vectors = np.linalg.eigh(modes.T @ modes)
     return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
