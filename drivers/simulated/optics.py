@@ -18,7 +18,7 @@ import numpy as np
 import scipy.fft
 from numpy.polynomial.polynomial import polyval
 
-from labkit.drivers.simulated.pupil import RIM_REACH, ROUND_PUPIL, Pupil
+from labkit.drivers.simulated.pupil import RIM_REACH, ROUND_PUPIL, SPIKES, Pupil
 from labkit.types import Floats, Floats32
 
 REFERENCE_NM = 450.0
@@ -237,23 +237,24 @@ def halo_beyond(
     reach: int,
     samples: int,
     pixels: int,
-    rim: float = 1.0,
+    pupil: Pupil = ROUND_PUPIL,
 ) -> Floats32:
     """Return the light missing from `point_spread`, from pixel to pixel: (2 pixels + 1, 2 pixels + 1) shares,
     centred.
 
-    samples: of spacing_um to a pixel; rim: length of the pupil's rims over that of a disc
-    of its area. Beyond the window, averaged over its rings, the light of any lens falls
-    with the cube of the distance, rim lambda N / (pi r)^3; the spikes of blades are
-    followed within the window only. The halo is a thousandth of the light and far away, but
-    the f-number is known from the initial fall of contrast with frequency: without the
-    light beyond 350 um its estimate is 0.5 % too small.
+    samples: of spacing_um to a pixel. Beyond the window, averaged over its rings, the light
+    of any lens falls with the cube of the distance, lambda N / (pi r)^3 times the length of
+    the pupil's rims over that of a disc of its area; towards any direction it is that of
+    the rims across it. The halo is a thousandth of the light and far away, but the f-number
+    is known from the initial fall of contrast with frequency: without the light beyond 350
+    um its estimate is 0.5 % too small.
     """
     airy_um = wavelength_nm * 1e-3 * f_number
     pitch_um = samples * spacing_um
     y, x = np.meshgrid(*2 * [np.arange(-pixels, pixels + 1) * pitch_um], indexing="ij")
     rings = airy_um / (np.pi * np.maximum(np.hypot(y, x), pitch_um)) ** 3
-    rings *= rim * pitch_um**2
+    spike = (np.arctan2(y, x) / np.pi % 1 * SPIKES).astype(int) % SPIKES
+    rings *= pupil.rim * pitch_um**2 * pupil.spikes[spike]
     edge_um = (reach + 0.5) * spacing_um
     within = np.clip((edge_um - abs(y)) / pitch_um + 0.5, 0, 1) * np.clip(
         (edge_um - abs(x)) / pitch_um + 0.5, 0, 1

@@ -40,6 +40,9 @@ RIM_REACH = 10
 MEASURED_RADIUS = 500
 """Samples to the radius where areas are measured."""
 
+SPIKES = 180
+"""Directions of half a turn that far light is counted in. A straight blade's light is narrower."""
+
 
 @dataclass(frozen=True, slots=True)
 class Pupil:
@@ -113,6 +116,12 @@ class Pupil:
         area, length = _measured(self)
         return length / (2 * area)
 
+    @property
+    def spikes(self) -> Floats:
+        """(SPIKES,) length of the rims across each direction of half a turn, over the mean: far light goes along them."""
+        is_round = not self.cats_eye and (not self.blades or self.rounding == 1)
+        return np.ones(SPIKES) if is_round else _spikes(self)
+
     def samples(self, u: Floats, v: Floats, per_radius: float) -> Floats:
         """Return the share of light that passes at coordinates (u right, v down) of a grid.
 
@@ -184,12 +193,32 @@ def _smooth_step(samples: Floats) -> Floats:
     return step
 
 
+def _in_samples(pupil: Pupil) -> Floats:
+    """Return distances from the rim on a grid, samples."""
+    edge = int(pupil.extent * MEASURED_RADIUS) + RIM_REACH
+    axis = np.arange(-edge, edge + 1) / MEASURED_RADIUS
+    return pupil._from_rim(axis[None, :], axis[:, None]) * MEASURED_RADIUS
+
+
+@lru_cache(maxsize=64)
+def _spikes(pupil: Pupil) -> Floats:
+    """Return `Pupil.spikes`: of a band along the rims, by the direction in which the distance from them grows."""
+    inside = _in_samples(pupil)
+    by_row, by_column = np.gradient(inside, axis=0), np.gradient(inside, axis=1)
+    band = np.abs(inside) < RIM_REACH / 2
+    down, right, away = by_row[band], by_column[band], inside[band] / RIM_REACH
+    turn = (np.arctan2(down, right) / pi % 1 * SPIKES).astype(int) % SPIKES
+    weight = np.exp(-8 * away**2) * np.hypot(down, right)
+    lengths = np.bincount(turn, weight, SPIKES)
+    # the grid's squares leave 2 % of a direction's rims in the next ones
+    smooth = lengths + np.roll(lengths, 1) + np.roll(lengths, -1)
+    return np.asarray(smooth / smooth.mean())
+
+
 @lru_cache(maxsize=64)
 def _measured(pupil: Pupil) -> tuple[float, float]:
     """Clear area and length of all rims, in units of the disc's area and of its radius times pi."""
-    edge = int(pupil.extent * MEASURED_RADIUS) + RIM_REACH
-    axis = np.arange(-edge, edge + 1) / MEASURED_RADIUS
-    inside = pupil._from_rim(axis[None, :], axis[:, None]) * MEASURED_RADIUS
+    inside = _in_samples(pupil)
     area, wider, narrower = (
         float(_smooth_step(inside + by).sum()) for by in (0.0, 0.5, -0.5)
     )

@@ -60,7 +60,7 @@ def psf_and_halo(
         grid.reach,
         grid.samples,
         min(max(sensor.rows, sensor.cols), FARTHEST_PX),
-        lens.pupil.rim,
+        lens.pupil,
     )
     return near_psf(settings, colour, waves, grid), halo
 

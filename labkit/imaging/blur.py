@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 
 from labkit.imaging.grid import Torus
-from labkit.imaging.halo import perfect_lens, perfect_lens_slope
+from labkit.imaging.halo import halo_beyond, perfect_lens, perfect_lens_slope
 from labkit.imaging.parts import Part, rim_of
 from labkit.imaging.window import fading
 from labkit.optics.psf import Pupil
@@ -37,8 +37,8 @@ class Blur:
     perfect lens plus the transform of PSF(wavefront) - PSF(none), which is small and
     compact. (A PSF simply cut at 160 um biases an f/2.8 fit by 0.02 waves.) The difference
     fades out towards its window's borders: otherwise rings would enter and leave as
-    f-number or wavelength change. The perfect lens of a pupil that is no disc is the ellipse
-    with the same halo (`Pupil.halo`).
+    f-number or wavelength change. The perfect lens of a pupil that is no disc is the disc
+    with the same halo; what departs from its light beyond the window is added.
     """
 
     torus: Torus
@@ -61,6 +61,7 @@ class Blur:
     _halo: Pupil = field(init=False, repr=False, compare=False)
     _perfect: Floats = field(init=False, repr=False, compare=False)
     _perfect_psf: Floats = field(init=False, repr=False, compare=False)
+    _beyond: Floats = field(init=False, repr=False, compare=False)  # see `halo_beyond`
 
     def __post_init__(self) -> None:
         torus = self.torus
@@ -84,8 +85,9 @@ class Blur:
         ]
         halo = pupil.halo
         airy_um = halo.wavelength_um * halo.f_number
+        beyond = np.zeros((1, 1)) if pupil.rim.is_round else halo_beyond(torus, pupil)
         perfect = sum(
-            share * perfect_lens(torus, node * airy_um, pupil.rim.halo_ellipse)
+            share * (perfect_lens(torus, node * airy_um) + node * beyond)
             for share, node in self.spectrum.shares
         )
         for name, value in (
@@ -98,6 +100,7 @@ class Blur:
             ),
             ("_camera", math.prod(parts) if parts else None),
             ("_perfect", perfect),
+            ("_beyond", beyond),
             ("_halo", halo),
             ("_perfect_psf", self._psf(halo, np.zeros(len(halo.noll)))),
         ):
@@ -205,11 +208,11 @@ class Blur:
         halo = self._halo
         flat = np.zeros(len(halo.noll))
         airy_um = halo.wavelength_um * halo.f_number
-        rim = self.pupil.rim.halo_ellipse
         for share, node in self.spectrum.shares:
             for sign, pupil, at in ((1, self.pupil, waves), (-1, halo, flat)):
                 departure += sign * share * pupil.stretched_slope(at / node, node)
-            perfect += share * perfect_lens_slope(self.torus, node * airy_um, rim)
+            perfect += share * perfect_lens_slope(self.torus, node * airy_um)
+            perfect += share * node * self._beyond
         return self._through_camera(
             self._of(departure.astype(np.float32), _times(perfect, *self._pixel))
         )
@@ -224,12 +227,12 @@ class Blur:
         halo = self._halo
         flat = np.zeros(len(halo.noll))
         airy_um = halo.wavelength_um * halo.f_number
-        rim = self.pupil.rim.halo_ellipse
         for node, slope in slopes.items():
             departure += slope * (
                 self.pupil.stretched(waves / node, node) - halo.stretched(flat, node)
             )
-            perfect += slope * perfect_lens(self.torus, node * airy_um, rim)
+            perfect += slope * perfect_lens(self.torus, node * airy_um)
+            perfect += slope * node * self._beyond
         return self._through_camera(
             self._of(departure.astype(np.float32), _times(perfect, *self._pixel))
         )

@@ -3,14 +3,19 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
+import scipy.fft
+from scipy.ndimage import map_coordinates
 
 from labkit.imaging.grid import Torus
 from labkit.imaging.scene import Scene
 from labkit.imaging.warp import Pose
-from labkit.optics.ellipse import CIRCLE, Ellipse
-from labkit.optics.psf import diffraction_mtf
+from labkit.imaging.window import fading
+from labkit.optics.overlap import overlaps
+from labkit.optics.psf import Pupil, diffraction_mtf, smooth_edges_field
+from labkit.optics.rim import Rim
 from labkit.target import Target
 from labkit.types import Floats
 
@@ -18,39 +23,97 @@ POSE_MARGIN = (
     0.05  # of the target's size, by which it may stand or end elsewhere than the reference
 )
 HALO_FREQUENCY = 0.12  # cycles a pixel, at 1/e of a Gaussian: light from so far away is smooth, over tens of pixels
+LOW_BAND = 0.25  # of the cutoff: frequencies that tell of light beyond a window
+TABLE_ANGLES, TABLE_FREQUENCIES = 180, 64  # of a table of them
+FOLDING = 4  # windows, after which this light folds: 0.3 % of it at a window's borders
 HALO_BAND = 0.45  # cycles a pixel: there the Gaussian has fallen to 1e-6
 
 
-def perfect_lens(torus: Torus, airy_um: float, rim: Ellipse = CIRCLE) -> Floats:
+def perfect_lens(torus: Torus, airy_um: float) -> Floats:
     """Return the half plane of the transfer function of a perfect lens.
 
-    airy_um: lambda N. rim: of the pupil
+    airy_um: lambda N
     """
-    return _of_distance(torus, rim, lambda frequency: diffraction_mtf(frequency * airy_um))
+    return _symmetric(torus, lambda frequency: diffraction_mtf(frequency * airy_um))
 
 
-def perfect_lens_slope(torus: Torus, airy_um: float, rim: Ellipse = CIRCLE) -> Floats:
+def perfect_lens_slope(torus: Torus, airy_um: float) -> Floats:
     """Return the half plane of the derivative of `perfect_lens` by ln of lambda N."""
 
     def slope(frequency: Floats) -> Floats:
         nu = np.minimum(frequency * airy_um, 1.0)
         return np.asarray(-4 / np.pi * nu * np.sqrt(1 - nu**2))
 
-    return _of_distance(torus, rim, slope)
+    return _symmetric(torus, slope)
 
 
-def _of_distance(
-    torus: Torus, rim: Ellipse, function: Callable[[Floats], Floats]
-) -> Floats:
-    """Return the half plane of a function of the distance from frequency 0, over the ellipse's in this direction.
+def _symmetric(torus: Torus, function: Callable[[Floats], Floats]) -> Floats:
+    """Return the half plane of a function of the distance from frequency 0.
 
-    On a circle columns of opposite frequency share values.
+    Columns of opposite frequency share values.
     """
-    rows, columns = torus.row_frequency, torus.column_frequency
-    if rim.stretch > 1:
-        return function(rim.distance(columns, rows))
-    columns, places = np.unique(np.abs(columns), return_inverse=True)
-    return np.take(function(np.hypot(rows, columns)), places.ravel(), axis=1)
+    columns, places = np.unique(np.abs(torus.column_frequency), return_inverse=True)
+    return np.take(function(np.hypot(torus.row_frequency, columns)), places.ravel(), axis=1)
+
+
+@lru_cache(maxsize=4)
+def halo_beyond(torus: Torus, pupil: Pupil) -> Floats:
+    """Return the half plane of what a perfect lens's light beyond the window adds to that of the disc with the same halo.
+
+    It grows as lambda N. Light far away is told by the low frequencies of the transfer function, which the overlaps of the
+    pupil with its copies are: its departure from the disc's, less what a window has of this departure's light.
+    """
+    airy_um = pupil.wavelength_um * pupil.f_number
+    departure = _LowDeparture(pupil.rim)
+    width = pupil.size * pupil.spacing_um / airy_um
+    side = 2 * math.ceil(FOLDING * width * LOW_BAND)
+    rows = scipy.fft.fftfreq(side, 0.5 / LOW_BAND)[:, None]
+    columns = scipy.fft.rfftfreq(side, 0.5 / LOW_BAND)
+    light = scipy.fft.irfft2(departure(columns, rows), (side, side))
+    at = scipy.fft.fftfreq(side, 2 * LOW_BAND / side)
+    inside = np.abs(at) < 0.5 * width
+    at = at[inside]
+    kept = fading(pupil.size) * smooth_edges_field(pupil.size) ** 2
+    kept = np.interp(at / width + 0.5, np.arange(pupil.size) / pupil.size, kept)
+    within = light[np.ix_(inside, inside)] * kept * kept[:, None]
+
+    rows, columns = torus.row_frequency * airy_um, torus.column_frequency * airy_um
+    low = np.abs(rows[:, 0]) < LOW_BAND, np.abs(columns[0]) < LOW_BAND
+    rows, columns = rows[low[0]], columns[:, low[1]]
+    turns = np.exp(-2j * np.pi * rows * at), np.exp(-2j * np.pi * at[:, None] * columns)
+    beyond = np.zeros((torus.row_frequency.size, torus.column_frequency.size))
+    beyond[np.ix_(*low)] = departure(columns, rows) - (turns[0] @ within @ turns[1]).real
+    return beyond
+
+
+class _LowDeparture:
+    """The departure of a perfect lens's transfer function from that of the disc with the same halo, at low frequencies.
+
+    It is cut off smoothly. rim: of the pupil
+    """
+
+    def __init__(self, rim: Rim) -> None:
+        self.angles = np.union1d(np.linspace(0, np.pi, TABLE_ANGLES + 1), _along_edges(rim))
+        frequencies = np.linspace(0, LOW_BAND, TABLE_FREQUENCIES + 1)
+        high = 0.5 - 0.5 * np.cos(np.pi * frequencies / LOW_BAND)
+        self.table = overlaps(rim, 2 * frequencies, self.angles)
+        self.table -= diffraction_mtf(frequencies * rim.halo)
+        self.table *= 1 - high**2
+
+    def __call__(self, x: Floats, y: Floats) -> Floats:
+        """Return the departure at frequencies x, y of 1/(lambda N), which broadcast."""
+        x, y = np.broadcast_arrays(x, y)
+        frequency = np.hypot(x, y) * (TABLE_FREQUENCIES / LOW_BAND)
+        angle = np.interp(
+            np.arctan2(y, x) % np.pi, self.angles, np.arange(len(self.angles))
+        )
+        return map_coordinates(self.table, (angle, frequency), order=1)
+
+
+def _along_edges(rim: Rim) -> Floats:
+    """Return directions along a rim's edges: the contrast along straight ones is an edge of the table."""
+    outline = rim.edges(2 * TABLE_ANGLES)[0] @ (1, 1j)
+    return np.unique(np.round(np.angle(np.diff(outline[::8])) % np.pi, 6))
 
 
 def guards(frame: tuple[int, int], reference: Pose, reach_px: float) -> tuple[int, int]:

@@ -168,6 +168,13 @@ def _flatten(size: int) -> Floats:
     return flatten
 
 
+def smooth_edges_field(size: int) -> Floats:
+    """Return what the kernel of `smooth_outline` leaves of a field along either axis of its window (size,): 1 in the middle."""
+    away = np.pi * (np.arange(size) / size - 0.5)
+    flatter = np.polynomial.polynomial.polyval(4 * np.sin(away) ** 2, (1.0, *FLATTER))
+    return np.asarray(np.sinc(away / np.pi) ** (DEGREE + 1) * flatter)
+
+
 def _spline(t: Floats, degree: int) -> Floats:
     """Return (degree + 1, points) B-splines of whole knots at t past a knot, in the order of their ends."""
     values = np.ones((1, t.size))
@@ -361,14 +368,13 @@ class Pupil:
 
     @property
     def halo(self) -> "Pupil":
-        """The ellipse whose perfect image has the same halo, but for fourth harmonics in its direction: a disc is itself, any
-        other has no modes.
+        """The disc whose perfect image has the same halo, averaged over all directions: itself where this is a disc, else
+        one without modes.
         """
         if self.rim.is_round:
             return self
-        ellipse = self.rim.halo_ellipse
-        f_number = self.f_number * self.rim.halo / ellipse.halo
-        return replace(self, f_number=f_number, rim=Rim((ellipse,)), noll=())
+        f_number = self.f_number * self.rim.halo
+        return replace(self, f_number=f_number, rim=ROUND_RIM, noll=())
 
     def psf_at(
         self, waves: Floats, at_um: Floats, only: slice = slice(None)

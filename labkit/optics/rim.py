@@ -15,7 +15,6 @@ from typing import Protocol, Self
 
 import numpy as np
 
-from labkit.optics.ellipse import Ellipse
 from labkit.types import Bools, Floats
 
 FULL_TURN = 2 * np.pi
@@ -278,25 +277,21 @@ class Rim:
         return np.array(kinks)
 
     @cached_property
-    def _extent(self) -> tuple[float, float, float, complex]:
-        """Return the longest radius, half the largest width, the edges' length by the area, over a circle's, and the mean of
-        exp(2i angle) of their normals.
-        """
+    def _extent(self) -> tuple[float, float, float]:
+        """Return the longest radius, half the largest width, and the edge's length by the area, over a circle's."""
         if self.is_round:
-            return 1.0, 1.0, 1.0, 0j
+            return 1.0, 1.0, 1.0
         edges = self.edges(OUTLINE_ARCS)
         theta = np.linspace(0.0, FULL_TURN, OUTLINE_ARCS, endpoint=False)
         reach = np.max(
             np.stack([np.cos(theta), np.sin(theta)], axis=1) @ edges[0].T, axis=1
         )
         width = 0.5 * np.max(reach + np.roll(reach, OUTLINE_ARCS // 2))
+        length = sum(
+            np.linalg.norm(edge - np.roll(edge, 1, axis=0), axis=1).sum() for edge in edges
+        )
         longest = np.max(np.linalg.norm(edges[0], axis=1))
-        steps = np.concatenate([edge - np.roll(edge, 1, axis=0) for edge in edges])
-        steps = steps[steps.any(axis=1)] @ (1, 1j)
-        length = np.abs(steps).sum()
-        uneven = -np.sum(steps**2 / np.abs(steps)) / length
-        halo = length / FULL_TURN / self.area
-        return float(longest), float(width), float(halo), complex(uneven)
+        return float(longest), float(width), float(length / FULL_TURN / self.area)
 
     @property
     def longest(self) -> float:
@@ -315,14 +310,6 @@ class Rim:
         P. J. Clark, J. W. Howard and E. R. Freniere, Appl. Opt. 23, 353 (1984).
         """
         return self._extent[2]
-
-    @cached_property
-    def halo_ellipse(self) -> Ellipse:
-        """The ellipse whose halo is as uneven as this pupil's, but for harmonics of the direction from the fourth on.
-
-        The halo in a direction is the light from edges across it: a cat's eye has more along the shift than along its corners.
-        """
-        return Ellipse.with_edges(self._extent[3])
 
     @property
     def outer(self) -> float:

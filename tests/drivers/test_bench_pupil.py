@@ -15,7 +15,7 @@ from scipy.special import j1
 from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.image import fine_grid
 from labkit.drivers.simulated.optics import halo_beyond, point_spread
-from labkit.drivers.simulated.pupil import Pupil
+from labkit.drivers.simulated.pupil import SPIKES, Pupil
 from labkit.drivers.simulated.world import BenchSettings, TrueLens
 from labkit.types import Floats, Floats32
 
@@ -110,7 +110,7 @@ def test_a_mirror_lens_has_the_rings_of_an_annulus() -> None:
     psf = point_spread({}, NM, F_NUMBER, SPACING_UM, REACH, pupil=pupil)
     assert np.abs(psf - light).sum() < 2e-7  # 1.1e-7 as measured
     # what is beyond 240 um, but for a tenth that is beyond 2.4 mm, is the halo's
-    halo = halo_beyond(NM, F_NUMBER, SPACING_UM, REACH, 10, 400, pupil.rim)
+    halo = halo_beyond(NM, F_NUMBER, SPACING_UM, REACH, 10, 400, pupil)
     assert halo.sum(dtype=float) == pytest.approx(0.9 * (1 - light.sum()), rel=1e-3)
 
 
@@ -135,8 +135,38 @@ def test_straight_blades_have_the_spikes_of_a_polygon_wherever_they_are_turned()
     light = field**2 / pi * (SPACING_UM / (2 * NM * 1e-3 * F_NUMBER)) ** 2
     psf = point_spread({}, NM, F_NUMBER, SPACING_UM, REACH, pupil=pupil)
     assert np.abs(psf - light).sum() < 6e-6  # 3.1e-6 as measured
-    halo = halo_beyond(NM, F_NUMBER, SPACING_UM, REACH, 10, 400, pupil.rim)
+    halo = halo_beyond(NM, F_NUMBER, SPACING_UM, REACH, 10, 400, pupil)
     assert halo.sum(dtype=float) == pytest.approx(0.9 * (1 - light.sum()), rel=7e-3)
+
+
+def test_light_far_from_a_polygon_s_image_is_in_its_spikes() -> None:
+    """As its transform has it between 200 and 300 lambda N: 0.97 of the light is within 3 degrees of five directions."""
+    pupil, turn = Pupil(blades=5, turn_deg=11.0), radians(11.0 + 180 / 5)
+    angles = turn + 2 * pi * np.arange(5) / 5
+    corners = pupil.extent * np.column_stack([np.cos(angles), np.sin(angles)])
+    away, around = np.meshgrid(np.arange(100.0, 150.0, 0.37), np.arange(0, 180, 0.02))
+    places = away[..., None] * np.stack(
+        [np.cos(np.radians(around)), np.sin(np.radians(around))], axis=-1
+    )
+    light = np.abs(transform_of_a_polygon(corners, places.reshape(-1, 2))) ** 2
+    light = (light.reshape(away.shape) * away).sum(axis=1)
+    off = (around[:, 0] - 11 + 18) % 36 - 18
+    share = light[np.abs(off) < 3].sum() / light.sum()
+    middles = (np.arange(SPIKES) + 0.5) * 180 / SPIKES
+    near = np.abs((middles - 11 + 18) % 36 - 18) < 3
+    found = pupil.spikes[near].sum() / pupil.spikes.sum()
+    assert found == pytest.approx(share, abs=0.04)
+
+
+def test_light_is_spread_evenly_across_round_blades_and_nowhere_else() -> None:
+    """Each of six blades turns its normal by 2 asin(rounding sin(30 degrees)) = 29 degrees."""
+    spikes = Pupil(blades=6, turn_deg=10.0, rounding=0.5).spikes
+    middles = (np.arange(SPIKES) + 0.5) * 180 / SPIKES
+    off = np.abs((middles - 10 + 30) % 60 - 30)
+    reach = np.degrees(np.arcsin(0.5 * 0.5))
+    np.testing.assert_allclose(spikes[off < reach - 2], 30 / reach, rtol=0.02)
+    assert spikes[off > reach + 2].max() < 0.03
+    np.testing.assert_array_equal(Pupil(obstruction=0.4).spikes, 1.0)
 
 
 def test_a_cats_eye_leaves_what_two_circles_share() -> None:
