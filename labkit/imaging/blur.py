@@ -20,9 +20,6 @@ from labkit.types import AnyComplexes, AnyFloats, Complexes, Complexes64, Floats
 AnyArray = TypeVar("AnyArray", Floats, Complexes, Complexes64, AnyComplexes)
 """A half plane of any kind."""
 
-FAR_LIGHT_STEP = (
-    2e-3  # of a rim's number, for light beyond the window: a tenth of a table's angle
-)
 RIM_STEP = 1e-5  # of a rim's number, in its differences: 1e-3 samples of a pupil
 
 
@@ -241,10 +238,15 @@ class Blur:
         )
 
     def _by_rims(self, waves: Floats, first: int) -> Iterator[Complexes64]:
-        """Yield half planes of the derivatives by the rim's numbers, of the parts from `first` on."""
-        of_rim = [k for k, part in enumerate(self.parts) if k >= first and part.of_rim]
-        nearby = [rims for k in of_rim for rims in self._rims(k, RIM_STEP)]
-        farther = [rims for k in of_rim for rims in self._rims(k, FAR_LIGHT_STEP)]
+        """Yield half planes of the derivatives by the rim's numbers, of the parts from `first` on; the halo
+        stays.
+        """
+        nearby = [
+            rims
+            for k, part in enumerate(self.parts[first:], first)
+            if part.of_rim
+            for rims in self._rims(k)
+        ]
         if not nearby:
             return
         shares = [np.float32(share) for share in self.spectrum.weights]
@@ -255,29 +257,19 @@ class Blur:
             ),
             strict=True,
         )
-        for slopes, rims in zip(every, farther, strict=True):
+        for slopes in every:
             slope = sum(share * one for share, one in zip(shares, slopes, strict=True))
-            spectrum = _times(self._spectrum_of_window(np.asarray(slope)), *self._centred)
-            spectrum += _times(self._beyond_slope(*rims), *self._pixel)
-            yield self._through_camera(spectrum)
+            spectrum = self._spectrum_of_window(np.asarray(slope))
+            yield self._through_camera(_times(spectrum, *self._centred))
 
-    def _beyond_slope(self, above: Rim, below: Rim, apart: float) -> Floats:
-        """Return the half plane of the difference quotient of a perfect lens's light beyond the window, over two rims."""
-        mean = float(np.dot(self.spectrum.weights, self.spectrum.nodes))
-        pupil, like = self.pupil, self.pupil.rim
-        one, other = (
-            halo_beyond(self.torus, replace(pupil, rim=rim), like) for rim in (above, below)
-        )
-        return (one - other) * (mean / apart)
-
-    def _rims(self, k: int, size: float) -> Iterator[tuple[Rim, Rim, float]]:
+    def _rims(self, k: int) -> Iterator[tuple[Rim, Rim, float]]:
         """Yield rims above and below the present rim along each number of a part, within its bounds, and their
         distance.
         """
         part = self.parts[k]
         values = np.array(self.parts[k].values)
         rest = (*self.given, *self.parts[:k]), self.parts[k + 1 :]
-        for step in size * np.eye(len(values)):
+        for step in RIM_STEP * np.eye(len(values)):
             above = part.at(values + step)
             below = part.at(values - step)
             apart = np.linalg.norm(np.subtract(above.values, below.values))

@@ -57,16 +57,14 @@ def _symmetric(torus: Torus, function: Callable[[Floats], Floats]) -> Floats:
 
 
 @lru_cache(maxsize=4)
-def halo_beyond(torus: Torus, pupil: Pupil, like: Rim | None = None) -> Floats:
+def halo_beyond(torus: Torus, pupil: Pupil) -> Floats:
     """Return the half plane of what a perfect lens's light beyond the window adds to that of the disc with the same halo.
 
     It grows as lambda N. Light far away is told by the low frequencies of the transfer function, which the overlaps of the
     pupil with its copies are: its departure from the disc's, less what a window has of this departure's light.
-
-    like : a rim next to the pupil's, whose disc and whose table of overlaps are taken, so that differences are smooth
     """
     airy_um = pupil.wavelength_um * pupil.f_number
-    departure = _LowDeparture(pupil.rim, like or pupil.rim)
+    departure = _LowDeparture(pupil.rim)
     width = pupil.size * pupil.spacing_um / airy_um
     side = 2 * math.ceil(FOLDING * width * LOW_BAND)
     rows = scipy.fft.fftfreq(side, 0.5 / LOW_BAND)[:, None]
@@ -91,16 +89,15 @@ def halo_beyond(torus: Torus, pupil: Pupil, like: Rim | None = None) -> Floats:
 class _LowDeparture:
     """The departure of a perfect lens's transfer function from that of the disc with the same halo, at low frequencies.
 
-    It is cut off smoothly. rim: of the pupil; like: see `halo_beyond`
+    It is cut off smoothly. rim: of the pupil
     """
 
-    def __init__(self, rim: Rim, like: Rim) -> None:
-        even = np.linspace(0, np.pi, TABLE_ANGLES + 1)
-        self.angles = np.union1d(even, _along_edges(like))
+    def __init__(self, rim: Rim) -> None:
+        self.angles = np.union1d(np.linspace(0, np.pi, TABLE_ANGLES + 1), _along_edges(rim))
         frequencies = np.linspace(0, LOW_BAND, TABLE_FREQUENCIES + 1)
         high = 0.5 - 0.5 * np.cos(np.pi * frequencies / LOW_BAND)
         self.table = overlaps(rim, 2 * frequencies, self.angles)
-        self.table -= diffraction_mtf(frequencies * like.halo)
+        self.table -= diffraction_mtf(frequencies * rim.halo)
         self.table *= 1 - high**2
 
     def __call__(self, x: Floats, y: Floats) -> Floats:
