@@ -140,7 +140,7 @@ def test_straight_blades_have_the_spikes_of_a_polygon_wherever_they_are_turned()
 
 
 def test_light_far_from_a_polygon_s_image_is_in_its_spikes() -> None:
-    """As its transform has it between 200 and 300 lambda N: 0.97 of the light is within 3 degrees of five directions."""
+    """As its transform has it between 200 and 300 lambda N: 0.988 of the light is within 3 degrees of five directions."""
     pupil, turn = Pupil(blades=5, turn_deg=11.0), radians(11.0 + 180 / 5)
     angles = turn + 2 * pi * np.arange(5) / 5
     corners = pupil.extent * np.column_stack([np.cos(angles), np.sin(angles)])
@@ -155,7 +155,9 @@ def test_light_far_from_a_polygon_s_image_is_in_its_spikes() -> None:
     middles = (np.arange(SPIKES) + 0.5) * 180 / SPIKES
     near = np.abs((middles - 11 + 18) % 36 - 18) < 3
     found = pupil.spikes[near].sum() / pupil.spikes.sum()
-    assert found == pytest.approx(share, abs=0.04)
+    assert share == pytest.approx(0.988, abs=0.001)
+    # 0.998: corners, whose light is faint and everywhere, have none
+    assert found == pytest.approx(share, abs=0.02)
 
 
 def test_light_is_spread_evenly_across_round_blades_and_nowhere_else() -> None:

@@ -75,4 +75,4 @@ def test_to_first_order_steps_are_straight(share: float) -> None:
         )
 
     short, long = np.abs(bent(share)).max(), np.abs(bent(2 * share)).max()
-    assert long == pytest.approx(4 * short, rel=0.3)
+    assert long == pytest.approx(4 * short, rel=0.1)  # 3.8 and 4.2 measured
