@@ -66,8 +66,9 @@ class Expansion:
     ----------
     problem : frames and their model
     state : the point of expansion
-    gradient : (p,) of the log-likelihood
-    information : (p, p) Fisher information
+    gradient : (p,) of the log-likelihood, the unknown part of the target's own light at its likeliest value
+    information : (p, p) Fisher information, likewise
+    uphill : gradient and information where this light is as given: those of `objective`
     values : (m,) measured values at the state
     projection : (m, p) derivatives of the measured values by the parameters
     evaluations : model and derivatives for each frame
@@ -77,6 +78,7 @@ class Expansion:
     state: State
     gradient: Floats
     information: Floats
+    uphill: tuple[Floats, Floats]
     values: Floats
     projection: Floats
     evaluations: tuple[Evaluation, ...]
@@ -99,15 +101,15 @@ class Expansion:
         ----------
         precision : (camera,) inverse variances of the camera parameters' prior
         """
-        covariance = inverse(self.stiffened(precision))
+        covariance = inverse(self.stiffened(self.information, precision))
         return covariance @ self.gradient, covariance
 
-    def stiffened(self, precision: Floats) -> Floats:
-        """Return the information (p, p) with a prior on the camera parameters, by its inverse variances (camera,)."""
+    def stiffened(self, information: Floats, precision: Floats) -> Floats:
+        """Return an information (p, p) with a prior on the camera parameters, by its inverse variances (camera,)."""
         at = np.arange(self.camera.start, self.camera.stop)
-        information = self.information.copy()
-        information[at, at] += precision
-        return information
+        stiffened = information.copy()
+        stiffened[at, at] += precision
+        return stiffened
 
     @cached_property
     def _optimum(self) -> tuple[Floats, Floats]:
@@ -290,8 +292,10 @@ class Opened(Position):
         return expansion
 
     def step(self, damping: float) -> Step:
-        expansion, gradient = self.expansion, self.expansion.gradient.copy()
-        information = expansion.stiffened(self.precision)
+        expansion = self.expansion
+        gradient, information = expansion.uphill
+        information = expansion.stiffened(information, self.precision)
+        gradient = gradient.copy()
         gradient[expansion.camera] -= self.precision * self._away
         if self.modes:
             waves = self.at.state.waves
@@ -410,36 +414,32 @@ def _expansion(
     problem: Problem, state: State, evaluations: Sequence[Evaluation]
 ) -> Expansion:
     """Expand from derivatives by modes, camera parameters and pose."""
-    gradient, information = _assembled(problem, state, evaluations)
-    values, projection = _projection(problem, state, len(gradient))
-    return Expansion(
-        problem, state, gradient, information, values, projection, tuple(evaluations)
-    )
-
-
-def _assembled(
-    problem: Problem, state: State, evaluations: Sequence[Evaluation]
-) -> tuple[Floats, Floats]:
-    """Return gradient (p,) and information (p, p), the unknown part of the target's own light at its likeliest value."""
     shining = [
         replace(e, by_waves=np.concatenate([e.by_waves, e.by_brightness]))
         for e in evaluations
         if len(e.by_brightness)
     ]
     gradient, information, _ = problem.assembled(state, shining or evaluations)
-    if not shining:
-        return gradient, information
     first = len(evaluations[0].by_waves)
-    out = np.arange(first, first + len(evaluations[0].by_brightness))
-    rest = np.delete(np.arange(len(gradient)), out)
-    across = information[np.ix_(out, rest)]
+    light = np.arange(first, first + len(evaluations[0].by_brightness))
+    rest = np.delete(np.arange(len(gradient)), light)
+    uphill = gradient[rest], information[np.ix_(rest, rest)]
+    across = information[np.ix_(light, rest)]
     known = np.linalg.solve(
-        information[np.ix_(out, out)] + np.eye(len(out)),
-        np.column_stack([gradient[out], across]),
+        information[np.ix_(light, light)] + np.eye(len(light)),
+        np.column_stack([gradient[light], across]),
     )
-    return gradient[rest] - across.T @ known[:, 0], information[
-        np.ix_(rest, rest)
-    ] - across.T @ known[:, 1:]
+    values, projection = _projection(problem, state, len(rest))
+    return Expansion(
+        problem,
+        state,
+        uphill[0] - across.T @ known[:, 0],
+        uphill[1] - across.T @ known[:, 1:],
+        uphill,
+        values,
+        projection,
+        tuple(evaluations),
+    )
 
 
 def _foreshortening(pose: Pose, covariance: Floats) -> tuple[float, float]:

@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 
 from labkit.imaging.grid import Torus
-from labkit.imaging.halo import halo_beyond, perfect_lens, perfect_lens_slope
+from labkit.imaging.halo import far_light, perfect_lens, perfect_lens_slope
 from labkit.imaging.parts import Part, rim_of
 from labkit.imaging.window import fading
 from labkit.optics.psf import Pupil
@@ -61,7 +61,7 @@ class Blur:
     _halo: Pupil = field(init=False, repr=False, compare=False)
     _perfect: Floats = field(init=False, repr=False, compare=False)
     _perfect_psf: Floats = field(init=False, repr=False, compare=False)
-    _beyond: Floats = field(init=False, repr=False, compare=False)  # see `halo_beyond`
+    _beyond: Floats = field(init=False, repr=False, compare=False)  # see `FarLight`
 
     def __post_init__(self) -> None:
         torus = self.torus
@@ -85,7 +85,7 @@ class Blur:
         ]
         halo = pupil.halo
         airy_um = halo.wavelength_um * halo.f_number
-        beyond = np.zeros((1, 1)) if pupil.rim.is_round else halo_beyond(torus, pupil)
+        beyond = np.zeros((1, 1)) if pupil.rim.is_round else far_light(torus, pupil).beyond
         perfect = sum(
             share * (perfect_lens(torus, node * airy_um) + node * beyond)
             for share, node in self.spectrum.shares
@@ -238,9 +238,7 @@ class Blur:
         )
 
     def _by_rims(self, waves: Floats, first: int) -> Iterator[Complexes64]:
-        """Yield half planes of the derivatives by the rim's numbers, of the parts from `first` on; the halo
-        stays.
-        """
+        """Yield half planes of the derivatives by the rim's numbers, of the parts from `first` on."""
         nearby = [
             rims
             for k, part in enumerate(self.parts[first:], first)
@@ -257,10 +255,13 @@ class Blur:
             ),
             strict=True,
         )
-        for slopes in every:
+        mean = float(np.dot(self.spectrum.weights, self.spectrum.nodes))
+        far = far_light(self.torus, self.pupil).slopes(nearby)
+        for slopes, beyond in zip(every, far, strict=True):
             slope = sum(share * one for share, one in zip(shares, slopes, strict=True))
-            spectrum = self._spectrum_of_window(np.asarray(slope))
-            yield self._through_camera(_times(spectrum, *self._centred))
+            spectrum = _times(self._spectrum_of_window(np.asarray(slope)), *self._centred)
+            spectrum += _times(mean * beyond, *self._pixel)
+            yield self._through_camera(spectrum)
 
     def _rims(self, k: int) -> Iterator[tuple[Rim, Rim, float]]:
         """Yield rims above and below the present rim along each number of a part, within its bounds, and their

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 
 from labkit.optics.psf import diffraction_mtf
@@ -25,35 +27,76 @@ def overlaps(rim: Rim, displacements: Floats, angles: Floats) -> Floats:
     angles : (k,) of their directions
     """
     outline = rim.edges(OVERLAP_ARCS)[0] @ (1, 1j)
-    inner = np.pi * rim.inner**2
-    whole = np.pi * rim.area + inner
+    whole = np.pi * (rim.area + rim.dark_area)
     common = np.empty((len(angles), len(displacements)))
     for row, angle in zip(common, angles, strict=True):
-        chords, heights = _chords(outline * np.exp(-1j * angle))
-        order = np.argsort(chords)
-        chords, heights = chords[order], heights[order]
-        first = np.searchsorted(chords, displacements)
-        longer, high = (
-            np.append(np.cumsum(each[::-1])[::-1], 0.0)[first]
-            for each in (chords * heights, heights)
-        )
-        row[:] = (longer - high * displacements) * (whole / np.sum(chords * heights))
-    if inner:
-        common -= inner * (2 - diffraction_mtf(displacements / (2 * rim.inner)))
-    return common / (np.pi * rim.area)
+        turned = outline * np.exp(-1j * angle)
+        heights = np.sort(turned.imag)
+        chords = _chords(turned, 0.5 * (heights[1:] + heights[:-1]))
+        strips = np.diff(heights)
+        longer = _of_longer(chords, np.stack([chords * strips, strips]), displacements)
+        row[:] = (longer[0] - longer[1] * displacements) * (whole / np.sum(chords * strips))
+    return (common / np.pi - _hidden(rim, displacements)) / rim.area
 
 
-def _chords(outline: Complexes) -> tuple[Floats, Floats]:
-    """Return lengths of an outline's chords along x, one between each two of its points' heights, and their distances.
+def overlap_slopes(
+    rim: Rim,
+    nearby: Sequence[tuple[Rim, Rim, float]],
+    displacements: Floats,
+    angles: Floats,
+) -> Floats:
+    """Return derivatives of `overlaps` by numbers of the rim, (numbers, angles, displacements).
 
-    outline: points x + iy around it
+    A strip by which the outline moves outwards is in the copy too if the chord through it is longer than the displacement.
+
+    Parameters
+    ----------
+    rim, displacements, angles : see `overlaps`
+    nearby : for each number two neighbouring rims, and their distance in this number
     """
+    theta, widths = rim.arcs(4 * OVERLAP_ARCS)
+    outline = rim.outline(theta) * np.exp(1j * theta)
+
+    def quotient(of: Callable[[Rim], Floats]) -> Floats:
+        return np.array([(of(above) - of(below)) / apart for above, below, apart in nearby])
+
+    strips = quotient(lambda one: 0.5 * widths * one.outline(theta) ** 2)
+    gained = np.empty((len(nearby), len(angles), len(displacements)))
+    for k, angle in enumerate(angles):
+        turned = outline * np.exp(-1j * angle)
+        gained[:, k] = _of_longer(_chords(turned, turned.imag), strips, displacements)
+    hidden = quotient(lambda one: _hidden(one, displacements))
+    grown = quotient(lambda one: np.array(one.area))
+    slopes = (gained / np.pi - hidden[:, None]) / rim.area
+    if np.any(grown):
+        common = overlaps(rim, displacements, angles)
+        slopes -= common * (grown / rim.area)[:, None, None]
+    return np.asarray(slopes)
+
+
+def _hidden(rim: Rim, displacements: Floats) -> Floats:
+    """Return what the obstruction takes from the overlap of the outline, over pi: its disc and the copy's."""
+    dark = rim.dark_area
+    if not dark:
+        return np.zeros_like(displacements)
+    own = diffraction_mtf(displacements / (2 * np.sqrt(abs(dark))))
+    return np.asarray(dark * (2 - own))
+
+
+def _of_longer(chords: Floats, amounts: Floats, displacements: Floats) -> Floats:
+    """Return sums (amounts, displacements) of amounts (amounts, chords) at chords that are longer than displacements."""
+    order = np.argsort(chords)
+    sums = np.cumsum(amounts[:, order[::-1]], axis=1)[:, ::-1]
+    padded = np.append(sums, np.zeros((len(sums), 1)), axis=1)
+    return np.asarray(padded[:, np.searchsorted(chords[order], displacements)])
+
+
+def _chords(outline: Complexes, heights: Floats) -> Floats:
+    """Return lengths of an outline's chords along x at some heights. outline: points x + iy around it."""
     outline = np.roll(outline, -int(np.argmin(outline.imag)))
     top = int(np.argmax(outline.imag))
     sides = outline[: top + 1], np.append(outline[top:], outline[0])[::-1]
-    heights = np.sort(outline.imag)
-    middles = 0.5 * (heights[1:] + heights[:-1])
     left, right = (
-        np.interp(middles, np.maximum.accumulate(side.imag), side.real) for side in sides
+        np.interp(heights, np.maximum.accumulate(side.imag), side.real) for side in sides
     )
-    return np.abs(left - right), np.diff(heights)
+    return np.abs(left - right)

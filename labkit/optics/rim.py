@@ -154,9 +154,14 @@ class Rim:
         return np.asarray(self._scale * self._radius(theta))
 
     @property
+    def dark_area(self) -> float:
+        """Obstructed area over the full pupil's clear area."""
+        return self.obstructed / (1 - self.obstructed)
+
+    @property
     def inner(self) -> float:
         """Radius of the obstructed disc."""
-        return float(np.sqrt(max(self.obstructed, 0.0) / (1 - self.obstructed)))
+        return float(np.sqrt(max(self.dark_area, 0.0)))
 
     def inside(self, x: Floats, y: Floats) -> Bools:
         """Return whether points lie in the clear part."""
@@ -197,10 +202,9 @@ class Rim:
         -------
         (points, 2) x and y of the end of an arc, its middle, the end of the next and so on
         """
-        ends = np.linspace(0.0, FULL_TURN, arcs, endpoint=False)
-        circle = _chain(ends, np.ones_like)
-        outline = _chain(np.unique([*ends, *(self._kinks() % FULL_TURN)]), self._radius)
-        share = self.obstructed / (1 - self.obstructed)
+        circle = _chain(np.linspace(0.0, FULL_TURN, arcs, endpoint=False), np.ones_like)
+        outline = _chain(self._ends(arcs), self._radius)
+        share = self.dark_area
         outer = outline * np.sqrt(np.pi * (self.area + share) / _area(outline))
         if not self.obstructed:
             return [outer]
@@ -225,8 +229,7 @@ class Rim:
         """Clear area over the full pupil's: 1 unless a cat's eye cuts the pupil."""
         if self.is_full:
             return 1.0
-        share = self.obstructed / (1 - self.obstructed)
-        return self._scale**2 * self._outline_area / np.pi - share
+        return self._scale**2 * self._outline_area / np.pi - self.dark_area
 
     @cached_property
     def centre(self) -> tuple[float, float]:
@@ -243,9 +246,7 @@ class Rim:
     @cached_property
     def _outline_area(self) -> float:
         """Area within the outline, in the unit of `_radius`."""
-        ends = np.linspace(0.0, FULL_TURN, OUTLINE_ARCS, endpoint=False)
-        ends = np.unique([*ends, *(self._kinks() % FULL_TURN)])
-        return _area(_chain(ends, self._radius))
+        return _area(_chain(self._ends(OUTLINE_ARCS), self._radius))
 
     def _radius(self, theta: Floats) -> Floats:
         """Return the outline's distance from the centre, in any unit."""
@@ -255,6 +256,17 @@ class Rim:
             wave = np.sin if place % 2 else np.cos
             radius = radius + share * wave((2 + place // 2) * theta)
         return np.asarray(radius)
+
+    def arcs(self, number: int) -> tuple[Floats, Floats]:
+        """Return angles of the middles of at least a number of arcs around the outline, without corners, and their widths."""
+        ends = self._ends(number)
+        widths = np.diff(ends, append=ends[0] + FULL_TURN)
+        return ends + 0.5 * widths, widths
+
+    def _ends(self, arcs: int) -> Floats:
+        """Return angles that split the outline into arcs, corners among them."""
+        even = np.linspace(0.0, FULL_TURN, arcs, endpoint=False)
+        return np.unique([*even, *(self._kinks() % FULL_TURN)])
 
     def _kinks(self) -> Floats:
         """Return the angles of corners, and of the intersections of cuts."""
