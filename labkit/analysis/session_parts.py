@@ -91,7 +91,7 @@ ONE_SIDED = float(ndtri(0.95))
 
 
 def widest_light_nm(session: Estimate, plan: Plan) -> dict[str, float]:
-    """Return upper limits, with 95 % confidence, on the standard deviation of each channel's light, nm.
+    """Return upper limits, with 95 % confidence, on the standard deviation of each channel's light, nm, to a tenth.
 
     Limits follow from the score tests of all fits that belong to the session. Where the plan names the light, the width by the
     tables counts as a measurement, with the standard deviation among lights and bodies; elsewhere limits are at most `WIDEST`
@@ -113,7 +113,7 @@ def widest_light_nm(session: Estimate, plan: Plan) -> dict[str, float]:
             if named is None
             else _most_of_named(test, named.width.value / nm, named.width.std / nm)
         )
-    return limits
+    return {name: round(nm, 1) for name, nm in limits.items()}
 
 
 def _of_estimated(session: Estimate, plan: Plan) -> dict[str, float]:
