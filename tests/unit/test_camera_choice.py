@@ -252,6 +252,15 @@ def test_a_part_that_explains_too_little_is_named_as_missing() -> None:
     ] * FITS
 
 
+def test_an_obstruction_that_explains_too_little_is_not_named() -> None:
+    """It is fitted whatever its score promises; another part that promised as little would not be."""
+    fits = Fits({("obstruction",): 200.0}, {"obstruction": 40.0}, unexplained=1000.0)
+    names, choice = fits.chosen()
+    assert fits.refits[-1] == (FITS - 3, Parts(["obstruction"]))
+    assert names == set()
+    assert choice.missing == ()
+
+
 def test_a_part_that_explains_a_fair_share_of_what_is_left_is_taken_in() -> None:
     names, choice = Fits({("smear",): 300.0}, {"smear": 300.0}, unexplained=1000.0).chosen()
     assert names == {"smear"}
