@@ -12,6 +12,7 @@ from labkit.estimation.climb import NoisePrior, Problem, Start, State, maximize
 from labkit.estimation.expansion import expand, free_f_number, with_optics_about
 from labkit.estimation.likelihood import FrameData
 from labkit.estimation.settings import SETTINGS
+from labkit.imaging.brightness import Brightness
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.imaging.parts import LowPass
@@ -96,6 +97,31 @@ def test_a_cone_that_is_off_is_found_and_so_are_the_modes(model: ForwardModel) -
         ).max()
         < 0.18
     )
+
+
+def test_steps_go_up_the_likelihood_whatever_part_of_the_light_is_the_targets_own() -> None:
+    """Measurements have that part at its likeliest value, which moves the gradient by 0.9 standard errors here."""
+    rows, columns = np.indices(FRAME) / FRAME[0] - 0.5
+    light = np.exp(0.6 * rows - 0.8 * columns)
+    seen = Brightness.fitted(light, np.ones(FRAME, bool))
+    uneven = ForwardModel.build(OPTICS, CARPET, FRAME, POSE, brightness=seen)
+    problem = photographed(uneven)
+    frames = tuple(replace(frame, brightness=seen) for frame in problem.frames)
+    problem = replace(problem, frames=frames)
+    modes = np.array([0.004, -0.003, 0.003])
+    expansion = expand(problem, Start(replace(TRUTH, waves=TRUTH.waves + modes)))
+
+    def objective(step: Floats) -> float:
+        state = replace(expansion.state, waves=expansion.state.waves + step)
+        return problem.objective(state, problem.relative(state))
+
+    size = 1e-5
+    slopes = [
+        (objective(step) - objective(-step)) / (2 * size) for step in size * np.eye(3)
+    ]
+    std = np.diag(expansion.information)[MODES] ** -0.5
+    assert np.abs(expansion.uphill[0][MODES] - slopes) * std == pytest.approx(0.0, abs=3e-6)
+    assert np.abs((expansion.gradient[MODES] - slopes) * std).max() > 0.5
 
 
 @pytest.mark.parametrize("light", [Spectrum(), Spectrum.of_width(0.04**2)])
