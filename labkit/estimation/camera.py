@@ -420,9 +420,9 @@ class CameraChoice:
             self.tried += [PartTried(name, gain, True) for name in sorted(parts)]
             self.missing = tuple(name for name in self.missing if name not in parts)
             return Fitted(parts, {**present.ends, **whole.ends})
-        least = _least_gain([present.ends[k] for k in whole.ends])
-        promising = gain > least or not all(map(_far, added))  # others promised as much
-        if added and promising and gain > cost(added):
+        far = all(map(_far, added))  # fitted whatever their scores promise
+        least = _least_gain([present.ends[k] for k in whole.ends]) if far else 0.0
+        if added and gain > max(cost(added), least):
             self.missing, self.with_missing = tuple(sorted(added)), whole.ends
         return None
 

@@ -8,8 +8,9 @@ from typing import TypeVar
 
 import numpy as np
 
+from labkit.imaging.far_light import far_light
 from labkit.imaging.grid import Torus
-from labkit.imaging.halo import far_light, perfect_lens, perfect_lens_slope
+from labkit.imaging.halo import perfect_lens, perfect_lens_slope
 from labkit.imaging.parts import Part, rim_of
 from labkit.imaging.window import fading
 from labkit.optics.psf import Pupil
