@@ -393,7 +393,7 @@ def test_slopes_of_overlaps_are_differences(part: Part, limit: float) -> None:
 
     def nearby(step: float) -> list[tuple[Rim, Rim, float]]:
         moved = [by * one for by in (step, -step) for one in np.eye(len(part.values))]
-        rims = [rim_of([part.at(np.array(part.values) + by)]) for by in moved]
+        rims = [rim_of([part.at(list(np.array(part.values) + by))]) for by in moved]
         half = len(part.values)
         return [(*two, 2 * step) for two in zip(rims[:half], rims[half:], strict=True)]
 
