@@ -42,7 +42,7 @@ class StrongSearch:
     def __call__(
         self, found: Mapping[int, Found], parts: Parts
     ) -> tuple[Parts, dict[int, Found]] | None:
-        """Search anew if the optima of two stations are not explained and contradict each other.
+        """Search anew if the optima of two stations are not explained, and contradict each other or the stated lens.
 
         Many modes nearly explain what an obstruction does, at wrong optima. So the search is made with each such part before it
         is made with all modes; what the part does not explain may then be modes, which go on without a part that hardly does
@@ -61,7 +61,9 @@ class StrongSearch:
         """
         best = {k: one.best for k, one in found.items()}
         if not _unexplained(list(best.values())) or (
-            _agree(list(best.values()), SETTINGS.contrary_waves) and self._in_step(best)
+            _agree(list(best.values()), SETTINGS.contrary_waves)
+            and self._in_step(best)
+            and self._as_stated(best)
         ):
             return None
         modes = parts | set(self.plan.fit.mode_groups)
@@ -77,7 +79,7 @@ class StrongSearch:
             left = idle([one.best for one in ends.values()], way - parts)
             if way in cut and left:
                 continue
-            whole = modes | (way - left)
+            whole = (way if _explained(ends) else modes | way) - left
             refits = self._refits_of_a_way()
             if whole != way:
                 ends = _refitted(refits, ends, way, whole)
@@ -171,6 +173,14 @@ class StrongSearch:
             )
             < SETTINGS.contrary_waves + 2 * SETTINGS.loose * abs(step)
             for other, step in zip(others, steps, strict=True)
+        )
+
+    def _as_stated(self, best: Mapping[int, Optimum]) -> bool:
+        """Return whether the f-numbers of optima are about the stated one: a pupil that lacks its obstruction moves them."""
+        return all(
+            abs(np.log(one.optics.f_number / stated.value)) < 3 * SETTINGS.loose
+            for k, one in best.items()
+            for stated in [nominal_f_number(self.plan, self._ranges_mm([k]).tolist())]
         )
 
     def _together(self, stations: list[int], choice: Parts, f_number: float) -> Ends:

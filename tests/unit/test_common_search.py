@@ -78,6 +78,24 @@ def test_ends_that_contradict_each_other_are_searched_with_a_range_between() -> 
     assert not any(task.guesses.deep for batch in play.batches for task in batch)
 
 
+@pytest.mark.parametrize(("wider", "searched"), [(1.3, False), (1.4, True)])
+def test_ends_that_agree_on_an_f_number_far_from_the_stated_one_are_searched(
+    wider: float, searched: bool
+) -> None:
+    """A pupil that lacks its obstruction does that: session 44 of the as-made study, 1.6 times the stated one."""
+
+    def agreeing(task: Task) -> Found:
+        begun = bool(task.guesses.starts)
+        height = 0.0 if begun else -900.0
+        end = optimum(task.optics, range_of(task), height=height, explained=begun)
+        f_number = (1.0 if begun else wider) * end.optics.f_number
+        return Found((replace(end, optics=replace(end.optics, f_number=f_number)),))
+
+    play = Play(agreeing, together=lambda task: ended(task, ASTIGMATISM))
+    played(play, plan=CLEAR)
+    assert bool(play.common) == searched
+
+
 @pytest.mark.parametrize(
     ("scatter", "climbed"),
     [(0.0, AT_ONCE), (STRONG, [*AT_ONCE, *AT_ONCE, AT_ONCE[0]])],
