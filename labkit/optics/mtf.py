@@ -5,12 +5,7 @@ f lambda N of its radius apart overlap in a lens-shaped region. With y = sin(bet
 borders are smooth, and Gauss's rule in beta and x converges geometrically. J. W. Goodman,
 Introduction to Fourier Optics, 3rd ed. (1996), §6.4.
 
-A pupil that is no clear disc: the transfer function is that of the line spread of its samples.
-
-By Parseval's theorem, the light summed across a direction is the sum over rows of the pupil
-of squared one-dimensional transforms. The transform of this line spread along the direction
-is the transfer function. The halo beyond its window equals that of a disc with the same
-halo, whose transfer function is a closed form.
+A pupil that is no clear disc: `rim_transfer`.
 """
 
 from __future__ import annotations
@@ -22,7 +17,6 @@ from math import atan2, degrees
 from typing import Literal
 
 import numpy as np
-import scipy.fft
 from numpy.polynomial import polynomial
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
@@ -30,8 +24,7 @@ from scipy.special import comb
 
 from labkit.arrays import positive, real_array
 from labkit.optics.known_bias import in_any_light
-from labkit.optics.psf import ARC_SPACING, OUTLINE_REACH, diffraction_mtf, smooth_outline
-from labkit.optics.rim import ROUND_RIM, Rim
+from labkit.optics.rim_transfer import rim_transfer
 from labkit.optics.wavefront import FittedWavefront
 from labkit.optics.zernike import cartesian, nm_to_noll, noll_to_nm
 from labkit.types import Complexes, Floats
@@ -219,9 +212,10 @@ def transfer_function(
     The function is the Fourier transform of the PSF: light to the right of the origin has a
     falling phase along x. slopes: whether derivatives are computed; they are 0 otherwise
     """
+    turn = float(np.deg2rad(azimuth_deg))
+    tables = _tables(wavefront.noll, turn)
     if not wavefront.rim.is_round:
-        return _rim_transfer(wavefront, frequency_per_mm, azimuth_deg, slopes)
-    tables = _tables(wavefront.noll, np.deg2rad(azimuth_deg))
+        return rim_transfer(wavefront, frequency_per_mm, turn, tables, slopes)
     return _slice(wavefront, frequency_per_mm, tables, slopes)
 
 
@@ -234,9 +228,9 @@ def turning_transfer_function(
     of the same sums.
     """
     if not wavefront.rim.is_round:
-        value, slopes = _rim_transfer(wavefront, frequency_per_mm, azimuth_deg)
+        value, slopes = transfer_function(wavefront, frequency_per_mm, azimuth_deg)
         after, before = (
-            _rim_transfer(wavefront, frequency_per_mm, azimuth_deg + d)[0]
+            transfer_function(wavefront, frequency_per_mm, azimuth_deg + d, slopes=False)[0]
             for d in (TURN_DEG, -TURN_DEG)
         )
         by_turn = (after - before) / (2 * np.deg2rad(TURN_DEG))
@@ -411,88 +405,3 @@ def steepness(wavefront: FittedWavefront) -> float:
     return float(
         wavefront.radians_per_wave / min(wavefront.spectrum.nodes) * np.hypot(*slopes).max()
     )
-
-
-SAMPLED_RADIUS = 100.0
-"""Of the pupil, samples; its window is as many times 2 lambda N wide."""
-
-
-def _rim_transfer(
-    wavefront: FittedWavefront,
-    frequency_per_mm: Floats,
-    azimuth_deg: float,
-    slopes: bool = True,
-) -> tuple[Complexes, Complexes]:
-    """Return `transfer_function` for a pupil of any rim."""
-    value = np.zeros(len(frequency_per_mm), complex)
-    by_mode = np.zeros((len(wavefront.noll), len(frequency_per_mm)), complex)
-    turn, rim = float(np.deg2rad(azimuth_deg)), wavefront.rim
-    tables = _tables(wavefront.noll, turn)
-    for share, light in wavefront.lights:
-        airy_mm = light.wavelength_um * light.f_number * 1e-3
-        nu = frequency_per_mm * airy_mm
-        spread, its_slopes = _line_spread(light, turn, tables, slopes)
-        size = spread.size
-        places = np.arange(size) - size // 2
-        wave = np.exp(-2j * np.pi * 2 * SAMPLED_RADIUS / size * np.outer(places, nu))
-        passes = np.abs(nu) < rim.reach
-        departure = (spread - _disc_spread(rim.halo, size)) @ wave
-        value += share * passes * (departure + diffraction_mtf(nu * rim.halo))
-        if slopes:
-            by_mode += share * passes * (its_slopes @ wave)
-    return value, by_mode
-
-
-def _line_spread(
-    wavefront: FittedWavefront, turn: float, tables: Floats, slopes: bool
-) -> tuple[Floats, Floats]:
-    """Return shares of light (n,) at places along an azimuth, and derivatives (modes, n), at one wavelength.
-
-    Modes are polynomials in coordinates with x along the azimuth: the field needs a transform
-    for each power of x in place of one for each mode.
-    """
-    offsets, clear = _amplitude(wavefront.rim, turn, SAMPLED_RADIUS)
-    powers = (offsets[:, None] / SAMPLED_RADIUS) ** np.arange(tables.shape[1])
-    path = powers @ np.tensordot(wavefront.waves, tables, 1).T @ powers.T
-    factor = 1j * wavefront.radians_per_wave
-    pupil = clear * np.exp(factor * path)
-    size = _size(offsets.size)
-    field = scipy.fft.fft(pupil, size)
-    light = size * np.pi * SAMPLED_RADIUS**2
-    spread = scipy.fft.fftshift(np.sum(np.abs(field) ** 2, axis=0) / light)
-    if not slopes:
-        return spread, np.zeros((len(tables), 0))
-    turned = 2 * factor / light * np.conj(field)
-    by_power = [
-        powers.T @ (turned * scipy.fft.fft(pupil * power, size)).real for power in powers.T
-    ]  # for each power of x: (powers of y, n)
-    its_slopes = np.tensordot(tables, np.array(by_power), 2)
-    return spread, scipy.fft.fftshift(its_slopes, axes=1)
-
-
-@lru_cache(maxsize=8)
-def _disc_spread(halo: float, size: int) -> Floats:
-    """Return shares of light (n,) of a perfect disc with a halo."""
-    radius = SAMPLED_RADIUS / halo
-    _, clear = _amplitude(ROUND_RIM, 0.0, radius)
-    spread = np.sum(np.abs(scipy.fft.fft(clear, size)) ** 2, axis=0)
-    return np.asarray(scipy.fft.fftshift(spread / (size * np.pi * radius**2)))
-
-
-@lru_cache(maxsize=128)
-def _amplitude(rim: Rim, turn: float, radius: float) -> tuple[Floats, Floats]:
-    """Return coordinates (n,), samples, and the amplitude (n, n) with the light of the full pupil, x along an azimuth.
-
-    All wavelengths and wavefronts of a lens have the same; to draw a rim takes twice as long as its transforms.
-    """
-    half = int(np.ceil(radius * rim.longest)) + OUTLINE_REACH
-    offsets = np.arange(-half, half + 1.0)
-    arcs = int(np.ceil(2 * np.pi * radius / ARC_SPACING))
-    edges = rim.turned(-turn).edges(arcs)
-    clear = smooth_outline(offsets, [radius * edge for edge in edges])
-    return offsets, clear / np.sqrt(rim.area)
-
-
-def _size(width: int) -> int:
-    """Return an even number of samples of an intensity without aliases."""
-    return 2 * int(scipy.fft.next_fast_len(width))
