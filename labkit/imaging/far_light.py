@@ -69,15 +69,21 @@ class FarLight:
     @cached_property
     def beyond(self) -> Floats:
         """Half plane of what this light adds to that of the disc."""
-        table = overlaps(self.rim, 2 * self._frequencies, self._angles)
-        return self._beyond(table - diffraction_mtf(self._frequencies * self.rim.halo))
+        disc = diffraction_mtf(self._frequencies * self.rim.halo)
+        return self._beyond(self._common - disc)
+
+    @cached_property
+    def _common(self) -> Floats:
+        return overlaps(self.rim, 2 * self._frequencies, self._angles)
 
     def slopes(self, nearby: Sequence[tuple[Rim, Rim, float]]) -> Iterator[Floats]:
         """Yield half planes of the derivatives by numbers of the rim; the disc stays.
 
         nearby: for each number two neighbouring rims, and their distance in this number
         """
-        tables = overlap_slopes(self.rim, nearby, 2 * self._frequencies, self._angles)
+        tables = overlap_slopes(
+            self.rim, nearby, 2 * self._frequencies, self._angles, self._common
+        )
         return map(self._beyond, tables)
 
     def _beyond(self, table: Floats) -> Floats:

@@ -44,6 +44,7 @@ def overlap_slopes(
     nearby: Sequence[tuple[Rim, Rim, float]],
     displacements: Floats,
     angles: Floats,
+    common: Floats,
 ) -> Floats:
     """Return derivatives of `overlaps` by numbers of the rim, (numbers, angles, displacements).
 
@@ -53,6 +54,7 @@ def overlap_slopes(
     ----------
     rim, displacements, angles : see `overlaps`
     nearby : for each number two neighbouring rims, and their distance in this number
+    common : (angles, displacements) `overlaps` of the rim
     """
     theta, widths = rim.arcs(4 * OVERLAP_ARCS)
     outline = rim.outline(theta) * np.exp(1j * theta)
@@ -68,10 +70,7 @@ def overlap_slopes(
     hidden = quotient(lambda one: _hidden(one, displacements))
     grown = quotient(lambda one: np.array(one.area))
     slopes = (gained / np.pi - hidden[:, None]) / rim.area
-    if np.any(grown):
-        common = overlaps(rim, displacements, angles)
-        slopes -= common * (grown / rim.area)[:, None, None]
-    return np.asarray(slopes)
+    return np.asarray(slopes - common * (grown / rim.area)[:, None, None])
 
 
 def _hidden(rim: Rim, displacements: Floats) -> Floats:

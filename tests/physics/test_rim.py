@@ -398,7 +398,7 @@ def test_slopes_of_overlaps_are_differences(part: Part, limit: float) -> None:
         return [(*two, 2 * step) for two in zip(rims[:half], rims[half:], strict=True)]
 
     rim = rim_of([part])
-    slopes = overlap_slopes(rim, nearby(1e-5), apart, angles)
+    slopes = overlap_slopes(rim, nearby(1e-5), apart, angles, overlaps(rim, apart, angles))
     for slope, (above, below, by) in zip(slopes, nearby(step), strict=True):
         numeric = (overlaps(above, apart, angles) - overlaps(below, apart, angles)) / by
         assert np.linalg.norm(slope - numeric) < limit * np.linalg.norm(numeric)
