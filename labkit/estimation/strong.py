@@ -76,10 +76,10 @@ class StrongSearch:
                 k: one.log_likelihood + cost(way) - cost(parts) for k, one in best.items()
             }
             ends = self._ends(self._stations(found), way, least)
-            left = idle([one.best for one in ends.values()], way - parts)
+            left = idle([one.best for one in ends.values()], way - modes)
             if way in cut and left:
                 continue
-            whole = (way if _explained(ends) else modes | way) - left
+            whole = way - left if _explained(ends) else modes | (way - left)
             refits = self._refits_of_a_way()
             if whole != way:
                 ends = _refitted(refits, ends, way, whole)
@@ -176,12 +176,11 @@ class StrongSearch:
         )
 
     def _as_stated(self, best: Mapping[int, Optimum]) -> bool:
-        """Return whether the f-numbers of optima are about the stated one: a pupil that lacks its obstruction moves them."""
-        return all(
-            abs(np.log(one.optics.f_number / stated.value)) < 3 * SETTINGS.loose
-            for k, one in best.items()
-            for stated in [nominal_f_number(self.plan, self._ranges_mm([k]).tolist())]
-        )
+        """Return whether the mean f-number of optima is about the stated one: an obstruction that they lack moves it."""
+        each = self._ranges_mm(list(best))[:, None].tolist()
+        stated = [nominal_f_number(self.plan, ranges).value for ranges in each]
+        fitted = [one.optics.f_number for one in best.values()]
+        return bool(abs(np.mean(np.log(fitted) - np.log(stated))) < 3 * SETTINGS.loose)
 
     def _together(self, stations: list[int], choice: Parts, f_number: float) -> Ends:
         """Return the ends of a search over several stations with a choice; none if it was lost for lack of memory."""
