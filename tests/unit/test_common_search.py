@@ -213,6 +213,25 @@ def test_all_modes_are_searched_for_where_an_obstruction_explains_nothing() -> N
     assert [len(task.optics.parts) for task in play.common] == [1, 0]
 
 
+def test_modes_that_explain_are_kept_where_one_range_does_not_call_for_them() -> None:
+    """They are small there, and their number is left to the choice of parts."""
+    silent = CLEAR.replace(fit={"zernike_noll": None})
+
+    def with_modes(task: Task) -> Found:
+        if len(task.optics.noll) > len(silent.fit.noll):
+            return Found((optimum(task.optics, range_of(task)),))
+        return at_odds(replace(task, guesses=replace(task.guesses, starts=())))
+
+    def together(task: TogetherTask) -> Ends:
+        others = np.zeros(len(task.optics.noll) - 1)
+        return ((task.optics, tuple(np.append(at, others) for at in task.defocus)),)
+
+    play = Play(with_modes, together=together)
+    session = played(play, plan=silent)
+    assert len(play.common) == 1
+    assert all(fit.optimum.verdict.accepted for fit in session.fits)
+
+
 def behind_an_eye(share: float) -> Play:
     """Optima that are explained with a cat's eye only, with a share of the pupil obstructed."""
 
