@@ -42,7 +42,7 @@ class StrongSearch:
     def __call__(
         self, found: Mapping[int, Found], parts: Parts
     ) -> tuple[Parts, dict[int, Found]] | None:
-        """Search anew if the optima of two stations are not explained, and contradict each other or the stated lens.
+        """Search anew if the optima of two stations are not explained and contradict each other.
 
         Many modes nearly explain what an obstruction does, at wrong optima. So the search is made with each such part before it
         is made with all modes; what the part does not explain may then be modes, which go on without a part that hardly does
@@ -61,9 +61,7 @@ class StrongSearch:
         """
         best = {k: one.best for k, one in found.items()}
         if not _unexplained(list(best.values())) or (
-            _agree(list(best.values()), SETTINGS.contrary_waves)
-            and self._in_step(best)
-            and self._as_stated(best)
+            _agree(list(best.values()), SETTINGS.contrary_waves) and self._in_step(best)
         ):
             return None
         modes = parts | set(self.plan.fit.mode_groups)
@@ -76,10 +74,10 @@ class StrongSearch:
                 k: one.log_likelihood + cost(way) - cost(parts) for k, one in best.items()
             }
             ends = self._ends(self._stations(found), way, least)
-            left = idle([one.best for one in ends.values()], way - modes)
+            left = idle([one.best for one in ends.values()], way - parts)
             if way in cut and left:
                 continue
-            whole = way - left if _explained(ends) else modes | (way - left)
+            whole = modes | (way - left)
             refits = self._refits_of_a_way()
             if whole != way:
                 ends = _refitted(refits, ends, way, whole)
@@ -174,13 +172,6 @@ class StrongSearch:
             < SETTINGS.contrary_waves + 2 * SETTINGS.loose * abs(step)
             for other, step in zip(others, steps, strict=True)
         )
-
-    def _as_stated(self, best: Mapping[int, Optimum]) -> bool:
-        """Return whether the mean f-number of optima is about the stated one: an obstruction that they lack moves it."""
-        each = self._ranges_mm(list(best))[:, None].tolist()
-        stated = [nominal_f_number(self.plan, ranges).value for ranges in each]
-        fitted = [one.optics.f_number for one in best.values()]
-        return bool(abs(np.mean(np.log(fitted) - np.log(stated))) < 3 * SETTINGS.loose)
 
     def _together(self, stations: list[int], choice: Parts, f_number: float) -> Ends:
         """Return the ends of a search over several stations with a choice; none if it was lost for lack of memory."""

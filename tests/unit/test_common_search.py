@@ -78,24 +78,6 @@ def test_ends_that_contradict_each_other_are_searched_with_a_range_between() -> 
     assert not any(task.guesses.deep for batch in play.batches for task in batch)
 
 
-@pytest.mark.parametrize(("wider", "searched"), [(1.3, False), (1.4, True)])
-def test_ends_that_agree_on_an_f_number_far_from_the_stated_one_are_searched(
-    wider: float, searched: bool
-) -> None:
-    """A pupil that lacks its obstruction does that: session 44 of the as-made study, 1.6 times the stated one."""
-
-    def agreeing(task: Task) -> Found:
-        begun = bool(task.guesses.starts)
-        height = 0.0 if begun else -900.0
-        end = optimum(task.optics, range_of(task), height=height, explained=begun)
-        f_number = (1.0 if begun else wider) * end.optics.f_number
-        return Found((replace(end, optics=replace(end.optics, f_number=f_number)),))
-
-    play = Play(agreeing, together=lambda task: ended(task, ASTIGMATISM))
-    played(play, plan=CLEAR)
-    assert bool(play.common) == searched
-
-
 @pytest.mark.parametrize(
     ("scatter", "climbed"),
     [(0.0, AT_ONCE), (STRONG, [*AT_ONCE, *AT_ONCE, AT_ONCE[0]])],
@@ -211,25 +193,6 @@ def test_all_modes_are_searched_for_where_an_obstruction_explains_nothing() -> N
     play = Play(at_odds, together=lambda task: ended(task, *STRENGTHS[len(play.common)]))
     played(play)
     assert [len(task.optics.parts) for task in play.common] == [1, 0]
-
-
-def test_modes_that_explain_are_kept_where_one_range_does_not_call_for_them() -> None:
-    """They are small there, and their number is left to the choice of parts."""
-    silent = CLEAR.replace(fit={"zernike_noll": None})
-
-    def with_modes(task: Task) -> Found:
-        if len(task.optics.noll) > len(silent.fit.noll):
-            return Found((optimum(task.optics, range_of(task)),))
-        return at_odds(replace(task, guesses=replace(task.guesses, starts=())))
-
-    def together(task: TogetherTask) -> Ends:
-        others = np.zeros(len(task.optics.noll) - 1)
-        return ((task.optics, tuple(np.append(at, others) for at in task.defocus)),)
-
-    play = Play(with_modes, together=together)
-    session = played(play, plan=silent)
-    assert len(play.common) == 1
-    assert all(fit.optimum.verdict.accepted for fit in session.fits)
 
 
 def behind_an_eye(share: float) -> Play:
