@@ -70,16 +70,13 @@ def true_values(range_mm: float) -> Floats:
 def measured_by(
     optics: Optics, range_mm: float, off: Sequence[float], square: float | Floats
 ) -> Measured:
-    """What a fit measures whose first two modes are off by some waves, the others 0, and whose camera parts have one number,
-    or some, known to 0.01.
-    """
+    """What a fit measures whose modes are off by some waves, and whose camera parts have one number, or some, known to 0.01."""
     defocus, astigmatism, cone, scale = true_values(range_mm) + np.array([*off, 0.0, 0.0])
-    modes = {5: astigmatism, **dict.fromkeys(optics.noll[2:], 0.0)}
-    plain = measured(np.array([defocus, cone, scale]), modes)
-    labels, size = optics.camera_labels, len(optics.noll)
-    inserted = [size] * len(labels)
-    covariance = np.diag(np.insert(np.zeros(size + 2), inserted, 1e-4))
-    others = [*range(size), -2, -1]
+    plain = measured(np.array([defocus, cone, scale]), {5: astigmatism})
+    labels = optics.camera_labels
+    inserted = [2] * len(labels)
+    covariance = np.diag(np.insert(np.zeros(4), inserted, 1e-4))
+    others = [0, 1, -2, -1]
     covariance[np.ix_(others, others)] = plain.covariance
     values = np.insert(plain.values, inserted, square)
     return replace(
@@ -103,11 +100,11 @@ def optimum(
     scores: Mapping[str, ScoreTest] | None = None,
 ) -> Optimum:
     """An optimum that measures `measured_by`. height: log-likelihood; unexplained: log-likelihood that residuals lack."""
-    of, size = measured_by(optics, range_mm, off, square), len(optics.noll)
+    of = measured_by(optics, range_mm, off, square)
     return Optimum(
-        State(of.values[:size], (POSE,), np.ones(1), np.zeros(1), NOISE.centre),
-        optics.with_camera_parameters(of.values[size:-1]),
-        of.covariance[:size, :size],
+        State(of.values[:2], (POSE,), np.ones(1), np.zeros(1), NOISE.centre),
+        optics.with_camera_parameters(of.values[2:-1]),
+        of.covariance[:2, :2],
         of,
         replace(of, covariance=100 * of.covariance, model=99 * of.covariance),
         Ridge(of.values, np.eye(of.values.size)),

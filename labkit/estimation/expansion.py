@@ -139,10 +139,14 @@ class Expansion:
         )
 
     def sane_after(self, step: Floats, start: State) -> bool:
-        """Return whether a step (p,) leads to a state worth drawing, with camera parts that a camera may have."""
-        parts = self.optics_after(step).camera_parameters[:-1]
+        """Return whether a step (p,) leads to a state worth drawing, with camera parts that a camera may have.
+
+        Parts are bounded one by one: an obstruction may still cover all that a cat's eye leaves clear.
+        """
+        optics = self.optics_after(step)
+        parts = optics.camera_parameters[:-1]
         usual = np.all(np.abs(parts) < SETTINGS.unknown * self.optics.camera_stds[:-1])
-        return bool(usual) and sane(self.moved(step), start)
+        return bool(usual) and optics.rim.area > 0 and sane(self.moved(step), start)
 
     def within(self, step: Floats, covariance: Floats) -> Floats:
         """Return a step (p,) that stays within the bounds of the camera parameters.

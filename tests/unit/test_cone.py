@@ -15,7 +15,7 @@ from labkit.estimation.settings import SETTINGS
 from labkit.imaging.brightness import Brightness
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
-from labkit.imaging.parts import LowPass
+from labkit.imaging.parts import CatsEye, LowPass, Obstruction
 from labkit.imaging.warp import Pose
 from labkit.optics.spectrum import WIDEST_SPECTRUM, Spectrum
 from labkit.target import CellTarget
@@ -243,3 +243,17 @@ def test_they_grow_little_where_it_lacks_nothing(model: ForwardModel) -> None:
     scatter, stds, sandwich = scatter_and_errors(model, 0.0)
     assert np.all(sandwich < 1.2 * stds)
     assert np.all(np.abs(scatter / stds - 1) < 0.1)
+
+
+@pytest.mark.parametrize(("shift", "clear"), [(0.6, True), (1.0, False)])
+def test_no_step_leads_to_a_pupil_that_is_clear_nowhere(
+    model: ForwardModel, shift: float, clear: bool
+) -> None:
+    """Half of the pupil is obstructed, and a cat's eye leaves the other half at most."""
+    begun = 0.3
+    optics = replace(OPTICS, parts=(Obstruction(0.5), CatsEye(begun, 0.0, 0.0)))
+    expansion = expand(photographed(with_optics_about(model, optics, TRUTH)), Start(TRUTH))
+    step = np.zeros_like(expansion.gradient)
+    step[expansion.camera.start + 1] = shift - begun
+    assert (expansion.optics_after(step).rim.area > 0) == clear
+    assert expansion.sane_after(step, TRUTH) == clear
