@@ -50,28 +50,30 @@ def rim_transfer(
     for share, light in wavefront.lights:
         nu = frequency_per_mm * light.wavelength_um * light.f_number * 1e-3
         spread, its_slopes = _line_spread(light, turn, tables, slopes)
-        wave = _waves(spread.size, nu)
+        places = np.arange(spread.size) - spread.size // 2
+        wave = np.exp(-4j * np.pi * SAMPLED_RADIUS / spread.size * np.outer(places, nu))
         passes = np.abs(nu) < rim.reach
-        value += share * passes * (spread @ wave + _far_halo(rim, turn, nu))
+        value += share * passes * (spread @ wave + _far_halo(rim, turn, nu, wave))
         if slopes:
             by_mode += share * passes * (its_slopes @ wave)
     return value, by_mode
 
 
-def _far_halo(rim: Rim, turn: float, nu: Floats) -> Floats:
-    """Return what the light beyond the window adds to the transfer function at frequencies nu (f,) of 1/(lambda N)."""
+def _far_halo(rim: Rim, turn: float, nu: Floats, wave: Complexes) -> Floats:
+    """Return what the light beyond the window adds to the transfer function (f,).
+
+    Parameters
+    ----------
+    rim : of the pupil
+    turn : azimuth, radians
+    nu : frequencies (f,) of 1/(lambda N)
+    wave : (n, f) takes a line spread to its transfer function
+    """
     added = np.zeros(len(nu))
     low = np.abs(nu) < HALO_CYCLES
-    spread = _perfect_spread(rim, turn)
     whole = overlaps(rim, 2 * np.abs(nu[low]), np.array([turn]))[0]
-    added[low] = whole - (spread @ _waves(spread.size, nu[low])).real
+    added[low] = whole - (_perfect_spread(rim, turn) @ wave[:, low]).real
     return added
-
-
-def _waves(size: int, nu: Floats) -> Complexes:
-    """Return (size, f) the waves that take a line spread to its transfer function at frequencies nu (f,) of 1/(lambda N)."""
-    places = np.arange(size) - size // 2
-    return np.asarray(np.exp(-4j * np.pi * SAMPLED_RADIUS / size * np.outer(places, nu)))
 
 
 def _line_spread(
