@@ -13,7 +13,7 @@ from labkit.estimation.expansion import with_modes
 from labkit.estimation.local import Guesses, Optimum
 from labkit.estimation.searches import Searches
 from labkit.estimation.settings import SETTINGS
-from labkit.estimation.stated import optics_of
+from labkit.estimation.stated import nominal_f_number, optics_of
 from labkit.imaging.optics import Optics
 from labkit.imaging.parts import KNOWN, Part
 from labkit.mode_groups import MODE_GROUPS
@@ -113,8 +113,13 @@ class Refits:
         """
         first = max(fitted, key=lambda k: self._shows_the_pupil(k, fitted[k]))
         end, begun = fitted[first], self.begun[choice][first]
+        wider = end.optics.f_number / begun.optics.f_number
         starts = {
-            k: self._starts(k, one, end.optics.parts, choice)[0] for k, one in left.items()
+            k: _at_f_number(
+                *self._starts(k, one, end.optics.parts, choice)[0],
+                one.optics.f_number * wider,
+            )
+            for k, one in left.items()
         }
         beside = {
             k: _moved(end, begun, one, starts[k][0])
@@ -140,7 +145,11 @@ class Refits:
         optics = optics.with_parts(choice).with_named(
             begin.optics.camera_labels, begin.optics.camera_parameters
         )
-        return [_with_the_light(begin, one) for one in optics.starts(before)]
+        starts = [_with_the_light(begin, one) for one in optics.starts(before)]
+        if not _far(choice) - {part.name for part in begin.optics.parts}:
+            return starts
+        stated = nominal_f_number(self.plan, self.search.ranges_mm).value
+        return starts + [_at_f_number(*one, stated) for one in starts]
 
     def _shows_the_pupil(self, k: int, end: Optimum) -> tuple[float, float]:
         """Return ranks of how well a photograph shows the pupil: in a corner of the frame, and far from focus."""
@@ -245,6 +254,12 @@ def _with_the_light(begin: Optimum, optics: Optics) -> tuple[Optics, State]:
     waves, tilts = over_other_circle(optics.noll, state.waves, before, after)
     poses = tuple(optics.tilted(pose, tilts) for pose in state.poses)
     return optics, replace(state, waves=waves, poses=poses)
+
+
+def _at_f_number(optics: Optics, state: State, f_number: float) -> tuple[Optics, State]:
+    """Return optics with another f-number and a state whose rays meet the sensor in the same places."""
+    wider = optics.f_number / f_number
+    return replace(optics, f_number=f_number), replace(state, waves=state.waves * wider)
 
 
 def with_tests(guess: Guesses, optics: Optics, plan: Plan) -> Guesses:

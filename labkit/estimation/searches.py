@@ -103,6 +103,12 @@ class Searches:
         self.fitted |= results.keys()
         return dict(sorted(results.items()))
 
+    @property
+    def ranges_mm(self) -> list[float]:
+        """Ranges of the observations that have one."""
+        ranges = (one.measured_range_mm for one in self.observations)
+        return [each for each in ranges if each is not None]
+
     def conclude(self, later: int) -> None:
         """Report that the searches are made, and the number of steps that follow."""
         doing = "what the fits make of the lens, and its images of points"

@@ -116,9 +116,8 @@ class _Loop:
         places = range(len(self.observations))
         ranged = [k for k in places if is_ranged(self.observations[k], self.plan.fit.noll)]
         self.rows = {k: row for row, k in enumerate(ranged)}
-        ranges = [r for o in self.observations if (r := o.measured_range_mm) is not None]
         self.alone = len({self.observations[k].measured_range_mm for k in self.rows}) < 2
-        self.nominal_f_number = nominal_f_number(self.plan, ranges)
+        self.nominal_f_number = nominal_f_number(self.plan, self.search.ranges_mm)
         self.refits = Refits(self.search, self.plan)
         channels = [o.channel for o in self.observations]
         wanted = Parts(wanted_parts(self.plan))
