@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 
 import numpy as np
 
@@ -145,8 +146,10 @@ class Refits:
         optics = optics.with_parts(choice).with_named(
             begin.optics.camera_labels, begin.optics.camera_parameters
         )
-        starts = [_with_the_light(begin, one) for one in optics.starts(before)]
-        if not _far(choice) - {part.name for part in begin.optics.parts}:
+        new = choice - {part.name for part in begin.optics.parts}
+        ways = [one for side in _sides(optics, new) for one in side.starts(before)]
+        starts = [_with_the_light(begin, one) for one in ways]
+        if not _far(new):
             return starts
         stated = nominal_f_number(self.plan, self.search.ranges_mm).value
         return starts + [_at_f_number(*one, stated) for one in starts]
@@ -204,6 +207,17 @@ def _steps(before: Parts, choice: Parts) -> int:
 def _far(parts: Parts) -> Parts:
     """Return the parts whose start is far from zero."""
     return Parts(name for name in parts if name in KNOWN and KNOWN[name].far)
+
+
+def _sides(optics: Optics, new: Parts) -> list[Optics]:
+    """Return the optics with parts on either side, if new parts are odd and may have made up for the wrong one."""
+    odd = [name for name in new if name in KNOWN and min(KNOWN[name].twin_signs) < 0]
+    if not odd:
+        return [optics]
+    sides = product(
+        *((part,) if part.name in new else part.sides for part in optics.parts)
+    )
+    return [replace(optics, parts=parts) for parts in sides]
 
 
 def _moved(

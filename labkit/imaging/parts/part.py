@@ -66,6 +66,11 @@ class Part(Estimated):
         return (self,)
 
     @property
+    def sides(self) -> tuple[Self, ...]:
+        """The part, and the part turned by half a turn if a fit may have it on the wrong side."""
+        return (self,)
+
+    @property
     def idle(self) -> bool:
         """Return whether the part leaves the transfer function behind the lens unchanged."""
         return not any(self.values)

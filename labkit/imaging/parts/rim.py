@@ -325,6 +325,11 @@ class CatsEye(Part):
         return replace(self, right=within * right, down=within * down, growth=growth)
 
     @property
+    def sides(self) -> tuple[Self, ...]:
+        """The circle and the one opposite: their even harmonics are the same, and blades may make up for the odd ones."""
+        return self, self.at([-self.right, -self.down, self.growth])
+
+    @property
     def at_bound(self) -> bool:
         most = MOST_SHIFT * (1 + self.growth)
         return self.growth <= LEAST_GROWTH or self._circle.shift > AT_BOUND * most
