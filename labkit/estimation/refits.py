@@ -107,6 +107,8 @@ class Refits:
     ) -> dict[int, Optimum]:
         """Refit observations from their optima with the parts of the fit that shows the pupil best, or from its wavefront.
 
+        Their f-numbers change as that fit's did.
+
         Parameters
         ----------
         fitted : refits with the choice
@@ -133,6 +135,8 @@ class Refits:
         self, k: int, begin: Optimum, before: Sequence[Part], choice: Parts
     ) -> list[tuple[Optics, State]]:
         """Return the starts of a refit with a choice of parts.
+
+        Parts whose start is far from zero may have been made up for by a wrong f-number, so they begin at the stated one too.
 
         Parameters
         ----------
@@ -214,29 +218,27 @@ def _sides(optics: Optics, new: Parts) -> list[Optics]:
     odd = [name for name in new if name in KNOWN and min(KNOWN[name].twin_signs) < 0]
     if not odd:
         return [optics]
-    sides = product(
-        *((part,) if part.name in new else part.sides for part in optics.parts)
-    )
+    sides = product(*((part,) if part.name in new else part.sides for part in optics.parts))
     return [replace(optics, parts=parts) for parts in sides]
 
 
 def _moved(
     end: Optimum, begun: Optimum, other: Optimum, optics: Optics
 ) -> tuple[Optics, Floats]:
-    """Return optics and modes of a refitted observation at another's range: f-number and defocus differ as before the refit.
+    """Return optics and modes of a refitted observation at another's range: defocus differs as before the refit.
 
     Parameters
     ----------
     end, begun : its optimum after and before the refit
     other : the other's optimum, not yet refitted
-    optics : the other's
+    optics : the other's, with the f-number to begin with
     """
-    waves, before = end.waves.copy(), begun.optics.f_number
+    waves = end.waves.copy()
     if end.noll[0] == DEFOCUS:
-        waves[0] += (other.waves[0] - begun.waves[0]) * (before / end.optics.f_number) ** 2
-    optics = optics.with_named(end.optics.camera_labels, end.optics.camera_parameters)
-    farther = other.optics.f_number / before
-    return replace(optics, f_number=end.optics.f_number * farther), waves
+        before = begun.optics.f_number / end.optics.f_number
+        waves[0] += (other.waves[0] - begun.waves[0]) * before**2
+    there = optics.with_named(end.optics.camera_labels, end.optics.camera_parameters)
+    return replace(there, f_number=optics.f_number), waves
 
 
 def _joint_plausibility(ends: Mapping[int, Optimum]) -> float:

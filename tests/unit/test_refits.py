@@ -22,6 +22,7 @@ NONE = frozenset[str]()
 SMEAR = frozenset({"smear"})
 UNEVEN = frozenset({"uneven_rim"})
 EYE = frozenset({"cats_eye"})
+BLADES = frozenset({"blades_5"})
 OBSTRUCTED = frozenset({"obstruction"})
 HIGHER = frozenset({"modes_16_21", "modes_22_28"})
 
@@ -33,6 +34,7 @@ class Played:
     ends: Mapping[int, Optimum]
     turns: list[dict[int, tuple[Optics, Guesses]]] = field(default_factory=list)
     observations: Any = field(default_factory=observations)
+    ranges_mm: list[float] = field(default_factory=list)
 
     @property
     def wanted(self) -> dict[int, tuple[Optics, Guesses]]:
@@ -175,6 +177,55 @@ def test_all_fits_together_decide_for_a_side_and_later_ones_keep_it() -> None:
     later = refits({3: ovals[3]}, UNEVEN, EYE)
     assert len(search.turns) == before + 1
     assert later[3].optics.parts[0].values[0] > 0
+
+
+class Stopped(Played):
+    """Searches for an obstructed pupil: climbs from a cone narrower than the stated one end in a lesser optimum."""
+
+    def end(self, k: int, optics: Optics, guess: Guesses) -> Optimum:
+        slow = optics.f_number > 1.2 * PLAN.lens.f_number
+        assert guess.state is not None
+        return replace(
+            end_with(NONE, 0.0, -99.0 if slow else 0.0),
+            optics=optics,
+            state=guess.state,
+        )
+
+
+def test_an_obstruction_begins_at_the_stated_cone_too_and_other_fits_at_the_better_one() -> (
+    None
+):
+    slow = {}
+    for k, off in enumerate((0.0, 1.0)):
+        clear = end_with(NONE, off, 0.0)
+        cone = (1.5 + 0.1 * k) * clear.optics.f_number
+        slow[k] = replace(clear, optics=replace(clear.optics, f_number=cone))
+    far = max(slow, key=lambda k: abs(slow[k].waves[0]))
+    search = Stopped({})
+    ends = Refits(cast(Searches, search), PLAN)(slow, NONE, OBSTRUCTED)
+    begun = [turn[far] for turn in search.turns[:2]]
+    cones = [optics.f_number for optics, _ in begun]
+    assert cones == pytest.approx([slow[far].optics.f_number, PLAN.lens.f_number])
+    waves = [guess.state.waves for _, guess in begun if guess.state is not None]
+    rays = [cone * one for cone, one in zip(cones, waves, strict=True)]
+    np.testing.assert_allclose(rays[0], rays[1], rtol=1e-12)
+    there = slow[1 - far].optics.f_number / slow[far].optics.f_number
+    assert ends[1 - far].optics.f_number == pytest.approx(there * PLAN.lens.f_number)
+
+
+def test_behind_a_cats_eye_blades_of_odd_number_begin_with_the_circle_opposite_too() -> (
+    None
+):
+    eye = KNOWN["cats_eye"].at([-0.3, 0.1, 0.05])
+    cut = end_with(EYE, 0.0, 0.0)
+    cut = replace(cut, optics=replace(cut.optics, parts=(eye,)))
+    search = Cut({})
+    refits = Refits(cast(Searches, search), PLAN)
+    refits({0: cut}, EYE, EYE | BLADES)
+    eyes = [turn[0][0].parts[-1].values for turn in search.turns]
+    assert eyes == [(-0.3, 0.1, 0.05), (0.3, -0.1, 0.05)]
+    refits({0: cut}, EYE, EYE | {"blades_6"})
+    assert len(search.turns) == 3
 
 
 def test_a_refit_that_was_made_from_the_same_optimum_is_not_made_again() -> None:
