@@ -107,8 +107,6 @@ class Refits:
     ) -> dict[int, Optimum]:
         """Refit observations from their optima with the parts of the fit that shows the pupil best, or from its wavefront.
 
-        Their f-numbers change as that fit's did.
-
         Parameters
         ----------
         fitted : refits with the choice
@@ -116,13 +114,8 @@ class Refits:
         """
         first = max(fitted, key=lambda k: self._shows_the_pupil(k, fitted[k]))
         end, begun = fitted[first], self.begun[choice][first]
-        wider = end.optics.f_number / begun.optics.f_number
         starts = {
-            k: _at_f_number(
-                *self._starts(k, one, end.optics.parts, choice)[0],
-                one.optics.f_number * wider,
-            )
-            for k, one in left.items()
+            k: self._starts(k, one, end.optics.parts, choice)[0] for k, one in left.items()
         }
         beside = {
             k: _moved(end, begun, one, starts[k][0])
@@ -136,7 +129,7 @@ class Refits:
     ) -> list[tuple[Optics, State]]:
         """Return the starts of a refit with a choice of parts.
 
-        Parts whose start is far from zero may have been made up for by a wrong f-number, so they begin at the stated one too.
+        Parts whose start is far from zero may have been made up for by a wrong f-number, so they begin at the stated one.
 
         Parameters
         ----------
@@ -156,7 +149,7 @@ class Refits:
         if not _far(new):
             return starts
         stated = nominal_f_number(self.plan, self.search.ranges_mm).value
-        return starts + [_at_f_number(*one, stated) for one in starts]
+        return [_at_f_number(*one, stated) for one in starts]
 
     def _shows_the_pupil(self, k: int, end: Optimum) -> tuple[float, float]:
         """Return ranks of how well a photograph shows the pupil: in a corner of the frame, and far from focus."""
@@ -225,20 +218,20 @@ def _sides(optics: Optics, new: Parts) -> list[Optics]:
 def _moved(
     end: Optimum, begun: Optimum, other: Optimum, optics: Optics
 ) -> tuple[Optics, Floats]:
-    """Return optics and modes of a refitted observation at another's range: defocus differs as before the refit.
+    """Return optics and modes of a refitted observation at another's range: f-number and defocus differ as before the refit.
 
     Parameters
     ----------
     end, begun : its optimum after and before the refit
     other : the other's optimum, not yet refitted
-    optics : the other's, with the f-number to begin with
+    optics : the other's
     """
-    waves = end.waves.copy()
+    waves, before = end.waves.copy(), begun.optics.f_number
     if end.noll[0] == DEFOCUS:
-        before = begun.optics.f_number / end.optics.f_number
-        waves[0] += (other.waves[0] - begun.waves[0]) * before**2
-    there = optics.with_named(end.optics.camera_labels, end.optics.camera_parameters)
-    return replace(there, f_number=optics.f_number), waves
+        waves[0] += (other.waves[0] - begun.waves[0]) * (before / end.optics.f_number) ** 2
+    optics = optics.with_named(end.optics.camera_labels, end.optics.camera_parameters)
+    farther = other.optics.f_number / before
+    return replace(optics, f_number=end.optics.f_number * farther), waves
 
 
 def _joint_plausibility(ends: Mapping[int, Optimum]) -> float:

@@ -179,38 +179,16 @@ def test_all_fits_together_decide_for_a_side_and_later_ones_keep_it() -> None:
     assert later[3].optics.parts[0].values[0] > 0
 
 
-class Stopped(Played):
-    """Searches for an obstructed pupil: climbs from a cone narrower than the stated one end in a lesser optimum."""
-
-    def end(self, k: int, optics: Optics, guess: Guesses) -> Optimum:
-        slow = optics.f_number > 1.2 * PLAN.lens.f_number
-        assert guess.state is not None
-        return replace(
-            end_with(NONE, 0.0, -99.0 if slow else 0.0),
-            optics=optics,
-            state=guess.state,
-        )
-
-
-def test_an_obstruction_begins_at_the_stated_cone_too_and_other_fits_at_the_better_one() -> (
-    None
-):
-    slow = {}
-    for k, off in enumerate((0.0, 1.0)):
-        clear = end_with(NONE, off, 0.0)
-        cone = (1.5 + 0.1 * k) * clear.optics.f_number
-        slow[k] = replace(clear, optics=replace(clear.optics, f_number=cone))
-    far = max(slow, key=lambda k: abs(slow[k].waves[0]))
-    search = Stopped({})
-    ends = Refits(cast(Searches, search), PLAN)(slow, NONE, OBSTRUCTED)
-    begun = [turn[far] for turn in search.turns[:2]]
-    cones = [optics.f_number for optics, _ in begun]
-    assert cones == pytest.approx([slow[far].optics.f_number, PLAN.lens.f_number])
-    waves = [guess.state.waves for _, guess in begun if guess.state is not None]
-    rays = [cone * one for cone, one in zip(cones, waves, strict=True)]
-    np.testing.assert_allclose(rays[0], rays[1], rtol=1e-12)
-    there = slow[1 - far].optics.f_number / slow[far].optics.f_number
-    assert ends[1 - far].optics.f_number == pytest.approx(there * PLAN.lens.f_number)
+def test_an_obstruction_begins_at_the_stated_f_number_with_the_same_rays() -> None:
+    clear = end_with(NONE, 0.0, 0.0)
+    cone = 1.5 * clear.optics.f_number
+    slow = replace(clear, optics=replace(clear.optics, f_number=cone))
+    search = Played({0: slow})
+    Refits(cast(Searches, search), PLAN)({0: slow}, NONE, OBSTRUCTED)
+    optics, _ = search.wanted[0]
+    assert optics.f_number == pytest.approx(PLAN.lens.f_number)
+    rays = PLAN.lens.f_number * search.begun
+    np.testing.assert_allclose(rays, cone * slow.state.waves, rtol=1e-12)
 
 
 def test_behind_a_cats_eye_blades_of_odd_number_begin_with_the_circle_opposite_too() -> (

@@ -91,10 +91,7 @@ def test_a_pupil_that_was_found_is_the_lens_s_and_no_session_is_made_without_it(
     found, play = session(by_obstruction, part="obstruction")
     assert [names(fit) for fit in found.fits] == [["obstruction"]] * 2
     assert found.stated_camera is None
-    # one fit begins at both f-numbers, and the other one after each
-    assert [len(batch) for batch in play.batches] == [2, 1, 1, 1, 1]
-    later = [task for batch in play.batches[1:] for task in batch]
-    assert [names(task) for task in later] == [["obstruction"]] * 4
+    assert [len(batch) for batch in play.batches] == [2, 2]
     plain, _ = session(by_obstruction, part="obstruction", plain=True)
     assert [names(fit) for fit in plain.fits] == [[], []]
 
