@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import product
 
@@ -16,7 +16,7 @@ from labkit.estimation.searches import Searches
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import nominal_f_number, optics_of
 from labkit.imaging.optics import Optics
-from labkit.imaging.parts import KNOWN, Part
+from labkit.imaging.parts import KNOWN, CatsEye
 from labkit.mode_groups import MODE_GROUPS
 from labkit.optics.other_circle import over_other_circle
 from labkit.optics.wavefront import DEFOCUS
@@ -86,9 +86,7 @@ class Refits:
         Fits have the parts in common: where new ones may begin in several ways, the observation that shows the pupil best
         tries all ways, and the others go on in each.
         """
-        tries = {
-            k: self._starts(k, one, one.optics.parts, choice) for k, one in left.items()
-        }
+        tries = {k: self._starts(k, one, choice) for k, one in left.items()}
         several = [k for k in tries if len(tries[k]) > 1]
         if not several:
             return self._searched({k: one for k, (one,) in tries.items()}, score, {})
@@ -105,7 +103,7 @@ class Refits:
         choice: Parts,
         score: bool,
     ) -> dict[int, Optimum]:
-        """Refit observations from their optima with the parts of the fit that shows the pupil best, or from its wavefront.
+        """Refit observations from their optima with the pupil of the fit that shows it best, or from its wavefront.
 
         Parameters
         ----------
@@ -115,7 +113,7 @@ class Refits:
         first = max(fitted, key=lambda k: self._shows_the_pupil(k, fitted[k]))
         end, begun = fitted[first], self.begun[choice][first]
         starts = {
-            k: self._starts(k, one, end.optics.parts, choice)[0] for k, one in left.items()
+            k: self._start_like(k, one, end, begun, choice) for k, one in left.items()
         }
         beside = {
             k: _moved(end, begun, one, starts[k][0])
@@ -124,32 +122,49 @@ class Refits:
         }
         return self._searched(starts, score, beside)
 
-    def _starts(
-        self, k: int, begin: Optimum, before: Sequence[Part], choice: Parts
-    ) -> list[tuple[Optics, State]]:
-        """Return the starts of a refit with a choice of parts.
+    def _starts(self, k: int, begin: Optimum, choice: Parts) -> list[tuple[Optics, State]]:
+        """Return the starts of an observation's refit with a choice of parts, from an optimum with a similar choice.
 
-        Parts whose start is far from zero may have been made up for by a wrong f-number, so they begin at the stated one.
+        A wrong f-number may have made up for new parts whose start is far from zero: then a start has the stated one too.
+        """
+        new = choice - {part.name for part in begin.optics.parts}
+        sides = _sides(self._optics(k, begin, choice), new)
+        ways = [way for one in sides for way in one.starts(begin.optics.parts)]
+        starts = [_with_the_light(begin, one) for one in ways]
+        stated = nominal_f_number(self.plan, self.search.ranges_mm).value
+        off = abs(np.log(begin.optics.f_number / stated))
+        if off < SETTINGS.loose or not _far(new):
+            return starts
+        return starts + [_at_f_number(*one, stated) for one in starts]
+
+    def _start_like(
+        self, k: int, begin: Optimum, end: Optimum, begun: Optimum, choice: Parts
+    ) -> tuple[Optics, State]:
+        """Return the start of an observation's refit that changes its optimum's pupil as that of another one was changed.
 
         Parameters
         ----------
         k : the observation
-        begin : an optimum with a similar choice
-        before : parts from which new ones begin
+        begin : its optimum
+        end, begun : the other's optimum after and before its refit
         choice : parts and modes
         """
+        new = choice - {part.name for part in begin.optics.parts}
+        optics = self._optics(k, begin, choice)
+        if not any(name in KNOWN and KNOWN[name].of_rim for name in new):
+            return _with_the_light(begin, optics.begun())
+        start = _with_the_light(begin, optics.with_rim_of(end.optics).begun())
+        wider = end.optics.f_number / begun.optics.f_number
+        wider *= np.sqrt(begun.optics.rim.area / begin.optics.rim.area)
+        return _at_f_number(*start, begin.optics.f_number * float(wider))
+
+    def _optics(self, k: int, begin: Optimum, choice: Parts) -> Optics:
+        """Return the optics of an observation with a choice of parts and the numbers of an optimum."""
         observation = self.search.observations[k]
         optics = optics_of(self.plan, observation.channel, observation.tile_place)
-        optics = optics.with_parts(choice).with_named(
+        return optics.with_parts(choice).with_named(
             begin.optics.camera_labels, begin.optics.camera_parameters
         )
-        new = choice - {part.name for part in begin.optics.parts}
-        ways = [one for side in _sides(optics, new) for one in side.starts(before)]
-        starts = [_with_the_light(begin, one) for one in ways]
-        if not _far(new):
-            return starts
-        stated = nominal_f_number(self.plan, self.search.ranges_mm).value
-        return [_at_f_number(*one, stated) for one in starts]
 
     def _shows_the_pupil(self, k: int, end: Optimum) -> tuple[float, float]:
         """Return ranks of how well a photograph shows the pupil: in a corner of the frame, and far from focus."""
@@ -182,7 +197,7 @@ class Refits:
 
         Fits that differ by one part, or by a part in place of another, are alike: the likelier one may have found an optimum
         that others missed. Modes begin at zero, and lose nothing; a part whose start is far from zero does, so fits that have
-        it come first.
+        it come first. So do fits that show where a cut lies, for a cut that is not known has its starts on all sides.
         """
         fitted = [(names, made[k]) for names, made in self.made.items() if k in made]
         fitted.append((parts, end))
@@ -190,7 +205,11 @@ class Refits:
         alike = [one for one in fitted if _steps(one[0], choice) <= least]
         _, optimum = max(
             alike,
-            key=lambda one: (-len(_far(choice - one[0])), one[1].log_likelihood),
+            key=lambda one: (
+                -len(_far(choice - one[0])),
+                not _kinds(choice) - _kinds(one[0]),
+                one[1].log_likelihood,
+            ),
         )
         return optimum
 
@@ -204,6 +223,12 @@ def _steps(before: Parts, choice: Parts) -> int:
 def _far(parts: Parts) -> Parts:
     """Return the parts whose start is far from zero."""
     return Parts(name for name in parts if name in KNOWN and KNOWN[name].far)
+
+
+def _kinds(parts: Parts) -> set[str]:
+    """Return the kinds of the parts that cut the pupil on one side."""
+    kinds = {KNOWN[name].kind for name in parts if name in KNOWN}
+    return kinds & {CatsEye.kind}
 
 
 def _sides(optics: Optics, new: Parts) -> list[Optics]:

@@ -219,9 +219,9 @@ class Optics:
 
     def with_rim_of(self, other: Optics) -> Optics:
         """Return the same optics with the rim of other optics that have the same parts."""
-        rims = {part.name: part for part in other.parts if part.of_rim}
-        parts = tuple(rims.get(part.name, part) for part in self.parts)
-        return replace(self, parts=parts)
+        rims = {part.name: part.values for part in other.parts if part.of_rim}
+        parts = (part.at(rims.get(part.name, part.values)) for part in self.parts)
+        return replace(self, parts=tuple(parts))
 
     def without(self, names: Collection[str]) -> Optics:
         """Return the optics without some estimated parts."""

@@ -179,31 +179,87 @@ def test_all_fits_together_decide_for_a_side_and_later_ones_keep_it() -> None:
     assert later[3].optics.parts[0].values[0] > 0
 
 
-def test_an_obstruction_begins_at_the_stated_f_number_with_the_same_rays() -> None:
-    clear = end_with(NONE, 0.0, 0.0)
-    cone = 1.5 * clear.optics.f_number
-    slow = replace(clear, optics=replace(clear.optics, f_number=cone))
-    search = Played({0: slow})
-    Refits(cast(Searches, search), PLAN)({0: slow}, NONE, OBSTRUCTED)
-    optics, _ = search.wanted[0]
-    assert optics.f_number == pytest.approx(PLAN.lens.f_number)
-    rays = PLAN.lens.f_number * search.begun
-    np.testing.assert_allclose(rays, cone * slow.state.waves, rtol=1e-12)
+class Stopped(Played):
+    """Searches for an obstructed pupil: climbs from a cone narrower than the stated one end in a lesser optimum."""
+
+    def end(self, k: int, optics: Optics, guess: Guesses) -> Optimum:
+        slow = optics.f_number > 1.2 * PLAN.lens.f_number
+        assert guess.state is not None
+        return replace(
+            end_with(NONE, 0.0, -99.0 if slow else 0.0),
+            optics=optics,
+            state=guess.state,
+        )
+
+
+def slow_fits(slower: float) -> dict[int, Optimum]:
+    """Two fits whose cones are narrower than the stated one."""
+    fits = {}
+    for k, off in enumerate((0.0, 1.0)):
+        clear = end_with(NONE, off, 0.0)
+        cone = (slower + 0.01 * k) * PLAN.lens.f_number
+        fits[k] = replace(clear, optics=replace(clear.optics, f_number=cone))
+    return fits
+
+
+def test_an_obstruction_begins_at_the_stated_cone_too_where_fits_are_far_from_it() -> None:
+    slow = slow_fits(1.5)
+    far = max(slow, key=lambda k: abs(slow[k].waves[0]))
+    search = Stopped({})
+    ends = Refits(cast(Searches, search), PLAN)(slow, NONE, OBSTRUCTED)
+    begun = [turn[far] for turn in search.turns[:2]]
+    cones = [optics.f_number for optics, _ in begun]
+    assert cones == pytest.approx([slow[far].optics.f_number, PLAN.lens.f_number])
+    waves = [guess.state.waves for _, guess in begun if guess.state is not None]
+    rays = [cone * one for cone, one in zip(cones, waves, strict=True)]
+    np.testing.assert_allclose(rays[0], rays[1], rtol=1e-12)
+    there = slow[1 - far].optics.f_number / slow[far].optics.f_number
+    assert ends[1 - far].optics.f_number == pytest.approx(there * PLAN.lens.f_number)
+
+
+def test_an_obstruction_begins_at_the_fits_cone_alone_where_it_is_the_stated_one() -> None:
+    search = Stopped({})
+    near = slow_fits(1.05)
+    Refits(cast(Searches, search), PLAN)(near, NONE, OBSTRUCTED)
+    (turn,) = search.turns
+    begun = [turn[k][0].f_number for k in turn]
+    assert begun == pytest.approx([near[k].optics.f_number for k in near])
+
+
+def test_an_eye_begins_from_a_rim_rather_than_from_likelier_blades() -> None:
+    """Where a fit shows the cut its circle has two sides; where none does, circles on all sides begin."""
+    round_one, bladed = end_with(NONE, 0.0, -100.0), end_with(BLADES, 0.0, 10.0)
+    uneven = KNOWN["uneven_rim"].at([-0.1, 0.0, 0.02, 0.0])
+    oval = end_with(UNEVEN, 0.0, 0.0)
+    oval = replace(oval, optics=replace(oval.optics, parts=(uneven,)))
+    search = Played({0: bladed})
+    refits = Refits(cast(Searches, search), PLAN)
+    refits({0: round_one}, NONE, BLADES)
+    search.ends = {0: oval}
+    refits({0: round_one}, NONE, UNEVEN)
+    refits({0: round_one}, NONE, EYE)
+    assert len(search.turns[2:]) == 2
 
 
 def test_behind_a_cats_eye_blades_of_odd_number_begin_with_the_circle_opposite_too() -> (
     None
 ):
     eye = KNOWN["cats_eye"].at([-0.3, 0.1, 0.05])
-    cut = end_with(EYE, 0.0, 0.0)
-    cut = replace(cut, optics=replace(cut.optics, parts=(eye,)))
+    cut = {}
+    for k, off in enumerate((0.0, 1.0)):
+        one = end_with(EYE, off, 0.0)
+        cut[k] = replace(one, optics=replace(one.optics, parts=(eye,)))
+    far = max(cut, key=lambda k: abs(cut[k].waves[0]))
     search = Cut({})
     refits = Refits(cast(Searches, search), PLAN)
-    refits({0: cut}, EYE, EYE | BLADES)
-    eyes = [turn[0][0].parts[-1].values for turn in search.turns]
-    assert eyes == [(-0.3, 0.1, 0.05), (0.3, -0.1, 0.05)]
-    refits({0: cut}, EYE, EYE | {"blades_6"})
-    assert len(search.turns) == 3
+    ends = refits(cut, EYE, EYE | BLADES)
+    eyes = [(k, turn[k][0].parts[-1].values) for turn in search.turns for k in turn]
+    sides = [(-0.3, 0.1, 0.05), (0.3, -0.1, 0.05)]
+    # the other fit begins on the side of the one that shows the pupil best
+    assert eyes == [(k, side) for k in (far, 1 - far) for side in sides]
+    assert {end.optics.parts[-1].values for end in ends.values()} == {sides[1]}
+    refits(cut, EYE, EYE | {"blades_6"})
+    assert len(search.turns) == 5
 
 
 def test_a_refit_that_was_made_from_the_same_optimum_is_not_made_again() -> None:
