@@ -8,7 +8,7 @@ from itertools import product
 
 import numpy as np
 
-from labkit.estimation.camera import Parts
+from labkit.estimation.camera import Parts, kind
 from labkit.estimation.climb import State
 from labkit.estimation.expansion import with_modes
 from labkit.estimation.local import Guesses, Optimum
@@ -155,6 +155,7 @@ class Refits:
             return _with_the_light(begin, optics.begun())
         start = _with_the_light(begin, optics.with_rim_of(end.optics).begun())
         wider = end.optics.f_number / begun.optics.f_number
+        # both optima may have other parts, and so other unit circles
         wider *= np.sqrt(begun.optics.rim.area / begin.optics.rim.area)
         return _at_f_number(*start, begin.optics.f_number * float(wider))
 
@@ -207,7 +208,7 @@ class Refits:
             alike,
             key=lambda one: (
                 -len(_far(choice - one[0])),
-                not _kinds(choice) - _kinds(one[0]),
+                _cut(one[0]) or not _cut(choice),
                 one[1].log_likelihood,
             ),
         )
@@ -225,10 +226,9 @@ def _far(parts: Parts) -> Parts:
     return Parts(name for name in parts if name in KNOWN and KNOWN[name].far)
 
 
-def _kinds(parts: Parts) -> set[str]:
-    """Return the kinds of the parts that cut the pupil on one side."""
-    kinds = {KNOWN[name].kind for name in parts if name in KNOWN}
-    return kinds & {CatsEye.kind}
+def _cut(parts: Parts) -> bool:
+    """Return whether there is a part that cuts the pupil on one side."""
+    return any(kind(name) == CatsEye.kind for name in parts)
 
 
 def _sides(optics: Optics, new: Parts) -> list[Optics]:

@@ -203,11 +203,7 @@ class Optics:
 
     def twin(self) -> Optics:
         """Return the optics of the twin, whose pupil is turned by 180 degrees (thesis §3.6)."""
-        parts = (
-            part.at([v * s for v, s in zip(part.values, part.twin_signs, strict=True)])
-            for part in self.parts
-        )
-        return replace(self, parts=tuple(parts))
+        return replace(self, parts=tuple(part.twin for part in self.parts))
 
     def with_named(self, labels: Sequence[str], values: Floats) -> Optics:
         """Return the same optics with given camera parameters, by label, the last of them ln N. Others stay as they are."""

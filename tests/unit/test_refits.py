@@ -14,7 +14,7 @@ from labkit.estimation.refits import Refits
 from labkit.estimation.searches import Searches
 from labkit.estimation.stated import optics_of
 from labkit.imaging.optics import Optics
-from labkit.imaging.parts import KNOWN
+from labkit.imaging.parts import KNOWN, Part
 from labkit.types import Floats
 from tests.optimum_samples import PLAN, RANGES_MM, observations, optimum
 
@@ -63,6 +63,18 @@ def end_with(parts: frozenset[str], off: float, height: float) -> Optimum:
     return optimum(optics, RANGES_MM[0], off=(off, 0.0), height=height)
 
 
+def fits_behind(part: Part, *off: float) -> dict[int, Optimum]:
+    """Fits with a part of the rim, by observation, off by some waves of defocus."""
+    fits = {}
+    for k, waves in enumerate(off):
+        one = end_with(frozenset({part.name}), waves, 0.0)
+        fits[k] = replace(one, optics=replace(one.optics, parts=(part,)))
+    return fits
+
+
+OVAL = KNOWN["uneven_rim"].at([-0.1, 0.0, 0.02, 0.0])
+
+
 def test_a_refit_without_a_part_begins_from_the_better_optimum_that_the_part_led_to() -> (
     None
 ):
@@ -88,9 +100,7 @@ def test_modes_are_added_to_a_fit_with_the_obstruction_though_all_modes_explain_
 
 def test_a_cats_eye_begins_from_the_uneven_rim_in_whose_place_it_is_fitted() -> None:
     round_one = end_with(NONE, 0.0, -100.0)
-    uneven = KNOWN["uneven_rim"].at([-0.1, 0.0, 0.02, 0.0])
-    oval = end_with(UNEVEN, 0.0, 0.0)
-    oval = replace(oval, optics=replace(oval.optics, parts=(uneven,)))
+    oval = fits_behind(OVAL, 0.0)[0]
     search = Played({0: oval})
     refits = Refits(cast(Searches, search), PLAN)
     refits({0: round_one}, NONE, UNEVEN)
@@ -123,11 +133,7 @@ class Cut(Played):
 def test_both_sides_are_tried_far_from_focus_and_other_fits_begin_with_the_better_one() -> (
     None
 ):
-    uneven = KNOWN["uneven_rim"].at([-0.1, 0.0, 0.02, 0.0])
-    ovals = {}
-    for k, off in enumerate((0.0, 1.0)):
-        oval = end_with(UNEVEN, off, 0.0)
-        ovals[k] = replace(oval, optics=replace(oval.optics, parts=(uneven,)))
+    ovals = fits_behind(OVAL, 0.0, 1.0)
     far = max(ovals, key=lambda k: abs(ovals[k].waves[0]))
     search = Cut({})
     refits = Refits(cast(Searches, search), PLAN)
@@ -164,11 +170,7 @@ FAR = 1
 
 
 def test_all_fits_together_decide_for_a_side_and_later_ones_keep_it() -> None:
-    uneven = KNOWN["uneven_rim"].at([-0.1, 0.0, 0.02, 0.0])
-    ovals = {}
-    for k, off in enumerate((0.0, 1.0, 0.1, 0.2)):
-        oval = end_with(UNEVEN, off, 0.0)
-        ovals[k] = replace(oval, optics=replace(oval.optics, parts=(uneven,)))
+    ovals = fits_behind(OVAL, 0.0, 1.0, 0.1, 0.2)
     search = Misled({}, observations=observations() * 2)
     refits = Refits(cast(Searches, search), PLAN)
     first = refits({k: ovals[k] for k in (0, FAR, 2)}, UNEVEN, EYE)
@@ -229,9 +231,7 @@ def test_an_obstruction_begins_at_the_fits_cone_alone_where_it_is_the_stated_one
 def test_an_eye_begins_from_a_rim_rather_than_from_likelier_blades() -> None:
     """Where a fit shows the cut its circle has two sides; where none does, circles on all sides begin."""
     round_one, bladed = end_with(NONE, 0.0, -100.0), end_with(BLADES, 0.0, 10.0)
-    uneven = KNOWN["uneven_rim"].at([-0.1, 0.0, 0.02, 0.0])
-    oval = end_with(UNEVEN, 0.0, 0.0)
-    oval = replace(oval, optics=replace(oval.optics, parts=(uneven,)))
+    oval = fits_behind(OVAL, 0.0)[0]
     search = Played({0: bladed})
     refits = Refits(cast(Searches, search), PLAN)
     refits({0: round_one}, NONE, BLADES)
@@ -245,10 +245,7 @@ def test_behind_a_cats_eye_blades_of_odd_number_begin_with_the_circle_opposite_t
     None
 ):
     eye = KNOWN["cats_eye"].at([-0.3, 0.1, 0.05])
-    cut = {}
-    for k, off in enumerate((0.0, 1.0)):
-        one = end_with(EYE, off, 0.0)
-        cut[k] = replace(one, optics=replace(one.optics, parts=(eye,)))
+    cut = fits_behind(eye, 0.0, 1.0)
     far = max(cut, key=lambda k: abs(cut[k].waves[0]))
     search = Cut({})
     refits = Refits(cast(Searches, search), PLAN)

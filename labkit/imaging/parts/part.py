@@ -58,6 +58,11 @@ class Part(Estimated):
         """Factor of each number in the twin, whose pupil is turned by 180 degrees (thesis §3.6): -1 for odd numbers."""
         return (1.0,) * len(self.labels)
 
+    @property
+    def twin(self) -> Self:
+        """The part of the twin: turned by half a turn."""
+        return self.at([v * s for v, s in zip(self.values, self.twin_signs, strict=True)])
+
     def starts(self, before: Sequence[Part]) -> tuple[Self, ...]:
         """Return the part with the start values of a fit; several where the right ones are not known.
 
@@ -67,7 +72,7 @@ class Part(Estimated):
 
     @property
     def sides(self) -> tuple[Self, ...]:
-        """The part, and the part turned by half a turn if a fit may have it on the wrong side."""
+        """The part, and its twin if a fit may have it on the wrong side."""
         return (self,)
 
     @property

@@ -327,7 +327,7 @@ class CatsEye(Part):
     @property
     def sides(self) -> tuple[Self, ...]:
         """The circle and the one opposite: their even harmonics are the same, and blades may make up for the odd ones."""
-        return self, self.at([-self.right, -self.down, self.growth])
+        return self, self.twin
 
     @property
     def at_bound(self) -> bool:
