@@ -51,6 +51,9 @@ ROWS = {
     "defocus": ("noll.4",),
     "other modes": tuple(f"noll.{j}" for j in range(5, 23)),
     "modes beyond 22": tuple(f"noll.{j}" for j in range(23, 46)),
+    "blades": ("pupil.roundness", "pupil.turn_deg"),
+    "obstruction": ("pupil.obstruction",),
+    "cat's eye": ("pupil.shift", "pupil.radius", "pupil.direction_deg"),
 }
 
 

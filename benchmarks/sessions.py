@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import shutil
 import signal
 import time
@@ -35,6 +36,7 @@ from benchmarks.session_tables import (
     table,
     wavefront_table,
 )
+from labkit.drivers.simulated.pupil import Pupil
 from labkit.drivers.simulated.world import Truth
 from labkit.execute import run_all
 from labkit.mode_groups import MODE_GROUPS
@@ -179,7 +181,24 @@ def compared(results: Line, truth: Truth) -> Line:
             ] += 1
         for j, value in zip(w["noll"], errors / w["std"], strict=True):
             z.setdefault(f"noll.{j}", []).append(float(value))
+    _add_pupil(z, lens.get("pupil") or {}, truth.pupil)
     return {"z": z, "wavefront": wavefront, **counts}
+
+
+def _add_pupil(z: dict[str, list[float]], found: Line, true: Pupil) -> None:
+    """Add the errors of the numbers of a pupil, as far as it was found to have what it has."""
+    if true.obstruction:
+        _add(z, "pupil.obstruction", found.get("obstruction"), true.obstruction)
+    if true.blades and found.get("blades") == true.blades:
+        _add(z, "pupil.roundness", found["roundness"], true.rounding)
+        turned = 360 / true.blades
+        _add(z, "pupil.turn_deg", found["turn_deg"], true.turn_deg, every=turned)
+    if true.cats_eye and (eye := found.get("cats_eye")):
+        shift, radius, direction_deg = true.cats_eye
+        unit = true.opening / true.extent  # found ones are relative to the blades' corners
+        _add(z, "pupil.shift", eye["shift"], shift * unit)
+        _add(z, "pupil.radius", eye["radius"], radius * unit)
+        _add(z, "pupil.direction_deg", eye["direction_deg"], direction_deg, every=360)
 
 
 def _diagnosed(results: Line, plan: Plan) -> Line:
@@ -204,9 +223,17 @@ def _last_mode(results: Line) -> int:
     return int(results["lens"]["modes"]["noll"][1])
 
 
-def _add(z: dict[str, list[float]], name: str, estimate: Line | None, true: float) -> None:
+def _add(
+    z: dict[str, list[float]],
+    name: str,
+    estimate: Line | None,
+    true: float,
+    every: float = math.inf,
+) -> None:
+    """Add the error over the standard error of an estimate, of a number that repeats after `every`."""
     if estimate and estimate["std"] > 0:
-        z.setdefault(name, []).append((estimate["value"] - true) / estimate["std"])
+        error = math.remainder(estimate["value"] - true, every)
+        z.setdefault(name, []).append(error / estimate["std"])
 
 
 def _is_wrong(errors: np.ndarray[Any, Any], std: np.ndarray[Any, Any]) -> bool:

@@ -207,15 +207,18 @@ def _measured(fits: Iterable[Optimum]) -> list[Measured]:
     return [fit.measured for fit in fits]
 
 
+def _unexplained(fits: Collection[Optimum]) -> float:
+    """Return the log-likelihood that fits do not explain; 0 if most fits are explained."""
+    unexplained = [fit.unexplained for fit in fits if not fit.verdict.accepted]
+    return 0.0 if 2 * len(unexplained) < len(fits) else sum(unexplained)
+
+
 def _least_gain(fits: Collection[Optimum]) -> float:
-    """Return the least gain of a part: a share of the unexplained log-likelihood, unless most fits are explained.
+    """Return the least gain of a part: a share of the unexplained log-likelihood.
 
     A part with a smaller gain stands for something else that the model lacks.
     """
-    unexplained = [fit.unexplained for fit in fits if not fit.verdict.accepted]
-    if 2 * len(unexplained) < len(fits):
-        return 0.0
-    return SETTINGS.few * sum(unexplained)
+    return SETTINGS.few * _unexplained(fits)
 
 
 def _net(tests: Mapping[str, ScoreTest], parts: Parts) -> dict[str, float]:
@@ -375,7 +378,10 @@ class CameraChoice:
             for name, gain in _net(tests, parts).items()
             if (tests[name].gain > least or _far(name)) and name not in self.wanted
         }
-        for name in sorted(net, key=lambda one: (not (least and _far(one)), -net[one])):
+        near = max((net[name] for name in net if not _far(name)), default=0.0)
+        # modes that stand for a far part explain little in common
+        far_first = near < _unexplained(fits) - least
+        for name in sorted(net, key=lambda one: (not (far_first and _far(one)), -net[one])):
             if net[name] > 0:
                 yield extended(parts, name)
         for k, name in enumerate(ALIKE_BLURS):

@@ -23,6 +23,9 @@ from labkit.optics.wavefront import DEFOCUS
 from labkit.plan import Plan
 from labkit.types import Floats
 
+DOING = "fitting with other parts or modes"
+"""What the progress says of refits."""
+
 
 @dataclass
 class Refits:
@@ -92,8 +95,9 @@ class Refits:
             return self._searched({k: one for k, (one,) in tries.items()}, score, {})
         first = max(several, key=lambda k: self._shows_the_pupil(k, left[k]))
         rest = {k: one for k, one in left.items() if k != first}
-        ways = [self._searched({first: one}, score, {}) for one in tries[first]]
-        whole = [way | self._in_the_way_of(way, rest, choice, score) for way in ways if way]
+        wanted = [(first, *self._wanted(one, score)) for one in tries[first]]
+        ways = [{first: way.best} for way in self.search.each(wanted, DOING) if way]
+        whole = [way | self._in_the_way_of(way, rest, choice, score) for way in ways]
         return max(whole, key=_joint_plausibility, default={})
 
     def _in_the_way_of(
@@ -181,17 +185,21 @@ class Refits:
         """Climb from starts of some observations, or from optics and modes beside."""
         if not starts:
             return {}
-        wanted = dict[int, tuple[Optics, Guesses]]()
-        for k, (optics, state) in starts.items():
-            guess = Guesses(
-                SETTINGS.shared_f_number_std,
-                state=state,
-                beside=beside.get(k),
-                deep=False,
-            )
-            wanted[k] = optics, with_tests(guess, optics, self.plan) if score else guess
-        found = self.search(wanted, "fitting with other parts or modes")
-        return {k: each.best for k, each in found.items()}
+        wanted = {k: self._wanted(one, score, beside.get(k)) for k, one in starts.items()}
+        return {k: found.best for k, found in self.search(wanted, DOING).items()}
+
+    def _wanted(
+        self,
+        start: tuple[Optics, State],
+        score: bool,
+        beside: tuple[Optics, Floats] | None = None,
+    ) -> tuple[Optics, Guesses]:
+        """Return optics and guess of a climb from a start, or from optics and modes beside."""
+        optics, state = start
+        guess = Guesses(
+            SETTINGS.shared_f_number_std, state=state, beside=beside, deep=False
+        )
+        return optics, with_tests(guess, optics, self.plan) if score else guess
 
     def _most_similar(self, k: int, end: Optimum, parts: Parts, choice: Parts) -> Optimum:
         """Return the likeliest optimum of an observation among fits that differ from a choice by few parts and modes.

@@ -75,20 +75,37 @@ class Searches:
     def __call__(
         self, wanted: Mapping[int, tuple[Optics, Guesses]], doing: str
     ) -> dict[int, Found]:
-        """Search for the optima of observations, by place.
-
-        Results are in the order of the observations. Searches at the shortest wavelength start first, for their pictures are
-        the finest and take longest. Reasons for lost searches are recorded in `lost`.
+        """Search for the optima of observations, by place. Return those found, in the order of the observations.
 
         Parameters
         ----------
         wanted : by place, optics to start from and guesses
         doing : kind of search, for the progress
         """
-        results = dict[int, Found]()
-        order = sorted(wanted, key=lambda k: wanted[k][0].wavelength_um)
-        tasks = [self._task(k, *wanted[k]) for k in order]
-        under_way = {k: task.label for k, task in zip(order, tasks, strict=True)}
+        every = self.each([(k, *one) for k, one in sorted(wanted.items())], doing)
+        return {
+            k: found
+            for k, found in zip(sorted(wanted), every, strict=True)
+            if found is not None
+        }
+
+    def each(
+        self, wanted: Sequence[tuple[int, Optics, Guesses]], doing: str
+    ) -> list[Found | None]:
+        """Make some searches, of an observation several perhaps. Return what each found; None if it was lost.
+
+        Searches at the shortest wavelength start first, for their pictures are the finest and take longest. Reasons for lost
+        searches are recorded in `lost`.
+
+        Parameters
+        ----------
+        wanted : place of the observation, optics to start from and guesses
+        doing : kind of search, for the progress
+        """
+        results: list[Found | None] = [None] * len(wanted)
+        order = sorted(range(len(wanted)), key=lambda i: wanted[i][1].wavelength_um)
+        tasks = [self._task(*wanted[i]) for i in order]
+        under_way = {i: task.label for i, task in zip(order, tasks, strict=True)}
         left = max(len(self.observations) - len(self.fitted), len(tasks))
         total = 0 if self.later is None else self.made + left + self.later
         try:
@@ -100,8 +117,10 @@ class Searches:
                 results[order[index]] = found
         except LostTasksError as error:
             self.lost |= {task.label: why for task, why in error.lost}
-        self.fitted |= results.keys()
-        return dict(sorted(results.items()))
+        self.fitted |= {
+            k for (k, *_), found in zip(wanted, results, strict=True) if found is not None
+        }
+        return results
 
     @property
     def ranges_mm(self) -> list[float]:
@@ -137,7 +156,8 @@ class Searches:
 
 def _named(doing: str, under_way: Mapping[int, str]) -> str:
     """Describe the kind of search and the first three searches under way."""
-    first, more = list(under_way.values())[:3], len(under_way) - 3
+    labels = list(dict.fromkeys(under_way.values()))
+    first, more = labels[:3], len(labels) - 3
     if not first:
         return doing
     return f"{doing}: {', '.join(first)}" + (f" and {more} more" if more > 0 else "")

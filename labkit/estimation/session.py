@@ -152,7 +152,7 @@ class _Loop:
             while guesses := self._next():
                 self._fit(guesses)
                 self._search_together()
-                if len(self.found) == len(self.anchors) < len(self.observations):
+                if len(self.found) == len(self.anchors):
                     self._choose_parts(telling(self.found))
                     self._forget(wrong_near_focus(self.found))
             choosing = self._choose_parts(spread(self.observations, self.found))
@@ -325,7 +325,7 @@ class _Loop:
                 likened = beside(self.observations, self.rows, selection, k, optics)
                 guess = replace(guess, beside=likened)
             wanted[k] = optics, with_tests(guess, optics, self.plan)
-        blind = not any(guess.starts or guess.modes for guess in guesses.values())
+        blind = not any(g.state or g.starts or g.modes for g in guesses.values())
         doing = "searching from nothing" if blind else "fitting"
         self.search.later = None if blind else self._to_come()
         for k, found in self.search(wanted, doing).items():

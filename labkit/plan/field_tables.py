@@ -50,7 +50,7 @@ class FieldSettings(Table):
 
     cats_eye: Annotated[tuple[Shift, Radius] | None, Takes(CATS_EYE_WORDS)] = None
     """Circle that cuts the pupil to a cat's eye away from the middle of the frame, where it is known: its shift in the
-    corners, along the image height, and its radius, over the pupil's radius. Default: `labkit fit` looks for it."""
+    corners, along the image height, and its radius, over the full pupil's. Default: `labkit fit` looks for it."""
 
     @property
     def cuts(self) -> bool:

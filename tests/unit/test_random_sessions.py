@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -323,6 +324,45 @@ def test_a_mode_that_the_lens_lacks_is_truly_zero() -> None:
 def test_a_cats_eye_changes_neither_f_number_nor_modes() -> None:
     cut = replace(TRUTH, clear_share=0.81)
     assert compared(results(0.2, True), cut) == compared(results(0.2, True), TRUTH)
+
+
+def test_a_pupils_numbers_are_compared_in_the_results_units() -> None:
+    pentagon = Pupil(blades=5, turn_deg=1.0, cats_eye=(0.3, 1.1, 179.0))
+    to_corners = math.sqrt(math.pi / (5 * math.sin(math.pi / 5) * math.cos(math.pi / 5)))
+    found = results(0.1, True)
+    found["lens"]["pupil"] = {
+        "blades": 5,
+        "roundness": number(0.02, 0.01),
+        "turn_deg": number(71.0, 1.0),  # a pentagon repeats every 72 degrees
+        "cats_eye": {
+            "shift": number(0.3 / to_corners, 0.01),
+            "radius": number(1.1 / to_corners + 0.01, 0.01),
+            "direction_deg": number(-179.0, 2.0),
+        },
+    }
+    errors = compared(found, replace(TRUTH, pupil=pentagon))["z"]
+    of_pupil = {name[6:]: z for name, (z,) in errors.items() if name.startswith("pupil.")}
+    assert of_pupil == pytest.approx(
+        {
+            "roundness": 2.0,
+            "turn_deg": -2.0,
+            "shift": 0.0,
+            "radius": 1.0,
+            "direction_deg": 1.0,
+        },
+        abs=1e-9,
+    )
+
+
+def test_another_number_of_blades_has_no_turn_to_compare() -> None:
+    found = results(0.1, True)
+    found["lens"]["pupil"] = {
+        "blades": 6,
+        "roundness": number(0, 1),
+        "turn_deg": number(0, 1),
+    }
+    errors = compared(found, replace(TRUTH, pupil=Pupil(blades=5)))["z"]
+    assert not any(name.startswith("pupil.") for name in errors)
 
 
 def test_psfs_are_summed_up() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
@@ -52,6 +52,11 @@ class Played:
     ) -> dict[int, Found]:
         self.turns.append(dict(wanted))
         return {k: Found((self.end(k, *one),)) for k, one in wanted.items()}
+
+    def each(
+        self, wanted: Sequence[tuple[int, Optics, Guesses]], doing: str
+    ) -> list[Found]:
+        return [self({k: (optics, guess)}, doing)[k] for k, optics, guess in wanted]
 
     def end(self, k: int, optics: Optics, guess: Guesses) -> Optimum:
         return self.ends[k]

@@ -110,8 +110,8 @@ class Vignetted(Part):
     labels: ClassVar[tuple[str, ...]] = ("along", "right", "down", "growth")
     usual: ClassVar[tuple[float, ...]] = (1.0, 0.3, 0.3, 0.5)
     meanings: ClassVar[Mapping[str, str]] = {
-        "shift": "of the cutting circle's centre in the frame's corners, over the pupil's radius",
-        "radius": "of the circle, over the pupil's radius",
+        "shift": "of the cutting circle's centre in the frame's corners, over the full pupil's radius",
+        "radius": "of the circle, over the full pupil's radius",
         "middle_shift": "of the circle's centre in the middle of the frame",
         "middle_direction_deg": "of that shift, from right towards down",
     }

@@ -278,7 +278,7 @@ USUAL_SHIFT, BLIND_DIRECTIONS = 0.4, np.linspace(0, FULL_TURN, 8, endpoint=False
 @dataclass(frozen=True, slots=True)
 class CatsEye(Part):
     """A circle that cuts the pupil. right, down: shift of its centre; growth: its radius less 1; of the full
-    pupil's radius.
+    pupil's radius, to its blades' corners.
 
     With all numbers 0 the circle is the pupil's own edge. The likelihood is not regular
     there, so fits test for an `UnevenRim` and estimate a cat's eye in its place.
@@ -294,8 +294,8 @@ class CatsEye(Part):
     labels: ClassVar[tuple[str, ...]] = ("right", "down", "growth")
     usual: ClassVar[tuple[float, ...]] = (0.5, 0.5, 0.5)
     meanings: ClassVar[Mapping[str, str]] = {
-        "shift": "of the cutting circle's centre, over the pupil's radius",
-        "radius": "of the circle, over the pupil's radius",
+        "shift": "of the cutting circle's centre, over the full pupil's radius",
+        "radius": "of the circle, over the full pupil's radius",
         "direction_deg": "of the shift, from right towards down",
     }
     of_rim: ClassVar[bool] = True
