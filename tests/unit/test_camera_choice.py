@@ -317,6 +317,21 @@ def test_an_obstruction_is_tried_by_a_fit_where_its_score_promises_little() -> N
     assert fits.refits[0][1] == Parts(["obstruction"])
 
 
+@pytest.mark.parametrize(("promised", "first"), [(700.0, "obstruction"), (800.0, "veil")])
+def test_what_promises_nearly_all_comes_before_an_obstruction(
+    promised: float, first: str
+) -> None:
+    fits = Fits(
+        heights={("obstruction",): 100.0, ("veil",): 990.0},
+        called={"veil": promised, "obstruction": 20.0},
+        unexplained=1000.0,
+        explaining=Parts(["veil"]),
+    )
+    parts, _ = fits.chosen()
+    assert parts == {"veil"}
+    assert fits.refits[0][1] == Parts([first])
+
+
 def test_where_fits_are_explained_an_obstruction_needs_a_score_as_others_do() -> None:
     fits = Fits(heights={("obstruction",): 3.0}, called={"obstruction": 1.0})
     assert fits.chosen()[0] == set()

@@ -1,0 +1,43 @@
+"""Searches as tasks of a run: several of one observation, and lost ones."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from labkit.estimation.local import Found, Guesses
+from labkit.estimation.searches import Searches, Task
+from labkit.estimation.stated import optics_of
+from tests.optimum_samples import PLAN, TARGET, Play, observations, right
+
+SLOW, FAST = (replace(optics_of(PLAN, "G"), f_number=n) for n in (5.6, 1.4))
+
+
+def searches(play: Play) -> Searches:
+    return Searches(observations(), {"G": TARGET}, play, lambda done, of, what: None)
+
+
+def test_two_searches_of_one_observation_are_under_way_together() -> None:
+    play = Play(order=lambda tasks: range(tasks)[::-1])
+    wanted = [(1, SLOW, Guesses()), (1, FAST, Guesses())]
+    found = searches(play).each(wanted, "fitting")
+    assert [[task.optics for task in batch] for batch in play.batches] == [[SLOW, FAST]]
+    assert [one.best.optics.f_number for one in found if one] == [
+        right(task).best.optics.f_number for task in play.batches[0]
+    ]
+
+
+def test_of_two_searches_of_one_observation_one_may_be_lost() -> None:
+    def ends(task: Task) -> Found | None:
+        return None if task.optics == SLOW else right(task)
+
+    search = searches(Play(ends))
+    first, second = search.each([(1, SLOW, Guesses()), (1, FAST, Guesses())], "fitting")
+    assert first is None
+    assert second is not None
+    assert search.left_out == []
+
+
+def test_an_observation_whose_only_search_is_lost_is_left_out() -> None:
+    search = searches(Play(lambda task: None))
+    assert search({1: (SLOW, Guesses())}, "fitting") == {}
+    assert search.left_out == ["G at 3010 mm is left out: killed"]
