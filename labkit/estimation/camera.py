@@ -378,9 +378,9 @@ class CameraChoice:
             for name, gain in _net(tests, parts).items()
             if (tests[name].gain > least or _far(name)) and name not in self.wanted
         }
-        near = max((net[name] for name in net if not _far(name)), default=0.0)
-        # modes that stand for a far part explain little in common
-        far_first = near < _unexplained(fits) - least
+        promised = max((net[name] for name in net if not _far(name)), default=0.0)
+        # modes that stand for a far part explain each fit, but little in common
+        far_first = promised < _unexplained(fits) - least
         for name in sorted(net, key=lambda one: (not (far_first and _far(one)), -net[one])):
             if net[name] > 0:
                 yield extended(parts, name)

@@ -82,12 +82,9 @@ class Searches:
         wanted : by place, optics to start from and guesses
         doing : kind of search, for the progress
         """
-        every = self.each([(k, *one) for k, one in sorted(wanted.items())], doing)
-        return {
-            k: found
-            for k, found in zip(sorted(wanted), every, strict=True)
-            if found is not None
-        }
+        places = sorted(wanted)
+        every = self.each([(k, *wanted[k]) for k in places], doing)
+        return {k: found for k, found in zip(places, every, strict=True) if found}
 
     def each(
         self, wanted: Sequence[tuple[int, Optics, Guesses]], doing: str
@@ -117,9 +114,7 @@ class Searches:
                 results[order[index]] = found
         except LostTasksError as error:
             self.lost |= {task.label: why for task, why in error.lost}
-        self.fitted |= {
-            k for (k, *_), found in zip(wanted, results, strict=True) if found is not None
-        }
+        self.fitted |= {k for (k, *_), found in zip(wanted, results, strict=True) if found}
         return results
 
     @property
