@@ -146,6 +146,14 @@ def _mean(apart: Apart) -> tuple[Floats, Floats]:
     return np.linalg.solve(weight, pulled), weight
 
 
+def common_rim(fits: Collection[Optimum]) -> dict[str, list[float]]:
+    """Return the numbers (n,) of each part of the pupil's rim that fits have, common to these."""
+    measured = _measured(fits)
+    names = dict.fromkeys(chain.from_iterable(map(_present, measured)))
+    rims = [name for name in names if name in KNOWN and KNOWN[name].of_rim]
+    return {name: _mean(_apart(measured, [name]))[0].tolist() for name in rims}
+
+
 def _loss(values: Floats, weight: Floats) -> float:
     return 0.5 * float(values @ weight @ values)
 

@@ -62,17 +62,20 @@ class Played:
         return self.ends[k]
 
 
-def end_with(parts: frozenset[str], off: float, height: float) -> Optimum:
-    """An optimum with some parts, off by some waves of defocus."""
+def end_with(
+    parts: frozenset[str], off: float, height: float, numbers: Sequence[float] | float = 0.0
+) -> Optimum:
+    """An optimum with some parts, off by some waves of defocus. numbers: of the parts."""
     optics = optics_of(PLAN, "G").with_parts(parts)
-    return optimum(optics, RANGES_MM[0], off=(off, 0.0), height=height)
+    square = np.array(numbers)
+    return optimum(optics, RANGES_MM[0], off=(off, 0.0), height=height, square=square)
 
 
 def fits_behind(part: Part, *off: float) -> dict[int, Optimum]:
     """Fits with a part of the rim, by observation, off by some waves of defocus."""
     fits = {}
     for k, waves in enumerate(off):
-        one = end_with(frozenset({part.name}), waves, 0.0)
+        one = end_with(frozenset({part.name}), waves, 0.0, part.values)
         fits[k] = replace(one, optics=replace(one.optics, parts=(part,)))
     return fits
 
@@ -159,6 +162,18 @@ def test_both_sides_are_tried_far_from_focus_and_other_fits_begin_with_the_bette
     assert waves[0] - ends[far].waves[0] == pytest.approx(wider * apart, rel=1e-12)
     assert waves[1] == ends[far].waves[1] != guess.state.waves[1]
     assert all(end.optics.parts[0].values[0] > 0 for end in ends.values())
+
+
+def test_circles_begin_with_the_rim_that_fits_show_together() -> None:
+    """One fit hardly tells a third harmonic of the rim from its modes."""
+    one, other = (KNOWN["uneven_rim"].at([-0.1, 0.0, third, 0.0]) for third in (-0.06, 0.1))
+    search = Cut({})
+    refits = Refits(cast(Searches, search), PLAN)
+    refits({**fits_behind(one, 0.0), 1: fits_behind(other, 0.0, 1.0)[1]}, UNEVEN, EYE)
+    begun = [optics.parts[0] for turn in search.turns[:2] for optics, _ in turn.values()]
+    assert begun == [*KNOWN["cats_eye"].starts([OVAL])]
+    assert begun != [*KNOWN["cats_eye"].starts([one])]
+    assert begun != [*KNOWN["cats_eye"].starts([other])]
 
 
 class Misled(Cut):
