@@ -152,7 +152,7 @@ class _Loop:
             while guesses := self._next():
                 self._fit(guesses)
                 self._search_together()
-                if len(self.found) == len(self.anchors):
+                if len(self.found) == len(self.anchors) < len(self.observations):
                     self._choose_parts(telling(self.found))
                     self._forget(wrong_near_focus(self.found))
             choosing = self._choose_parts(spread(self.observations, self.found))
