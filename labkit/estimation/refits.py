@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import product
+from itertools import chain, product
 
 import numpy as np
 
@@ -139,12 +139,14 @@ class Refits:
         k : the observation
         begin : its optimum
         choice : parts and modes
-        common : numbers of the rim that all observations show together: one shows them poorly, beside its modes
+        common : numbers of the rim that all observations show together: one may show them poorly, beside its modes
         """
-        before = [p.at(common.get(p.name, p.values)) for p in begin.optics.parts]
-        new = choice - {part.name for part in before}
+        own = begin.optics.parts
+        shared = [part.at(common.get(part.name, part.values)) for part in own]
+        new = choice - {part.name for part in own}
         sides = _sides(self._optics(k, begin, choice), new)
-        ways = [way for one in sides for way in one.starts(before)]
+        begun = (one.starts(before) for one in sides for before in (own, shared))
+        ways = list(dict.fromkeys(chain.from_iterable(begun)))
         starts = [_with_the_light(begin, one) for one in ways]
         stated = nominal_f_number(self.plan, self.search.ranges_mm).value
         off = abs(np.log(begin.optics.f_number / stated))
