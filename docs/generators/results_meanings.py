@@ -160,7 +160,7 @@ MEANINGS = {
     "lens.pupil.rim[].sin": "Relative departure along sin kt.",
     "lens.pupil.rim[].sin.value": "Value.",
     "lens.pupil.rim[].sin.std": "Standard error.",
-    "lens.pupil.cats_eye": "The circle that cuts the pupil, in units of the full pupil's radius, to its blades' corners; null for none.",
+    "lens.pupil.cats_eye": "The cutting circle, in units of the full pupil's radius, to its blades' corners; null for none.",
     "lens.pupil.cats_eye.shift": "Distance of its centre from the pupil's.",
     "lens.pupil.cats_eye.shift.value": "Value.",
     "lens.pupil.cats_eye.shift.std": "Standard error.",
