@@ -21,7 +21,7 @@ from labkit.estimation.candidate import Measured
 from labkit.estimation.local import Optimum
 from labkit.estimation.scores import ScoreTest
 from labkit.estimation.settings import SETTINGS
-from labkit.imaging.parts import KNOWN, Blades
+from labkit.imaging.parts import KNOWN, Blades, Part
 from labkit.mode_groups import MODE_GROUPS
 from labkit.results.model import PartTried
 from labkit.types import Floats, Indices
@@ -146,12 +146,18 @@ def _mean(apart: Apart) -> tuple[Floats, Floats]:
     return np.linalg.solve(weight, pulled), weight
 
 
+def _common(
+    fits: Sequence[Measured], asked: Callable[[Part], bool]
+) -> dict[str, list[float]]:
+    """Return the numbers (n,), common to all fits, of each of their parts that is asked for."""
+    present = dict.fromkeys(chain.from_iterable(map(_present, fits)))
+    names = [name for name in present if name in KNOWN and asked(KNOWN[name])]
+    return {name: _mean(_apart(fits, [name]))[0].tolist() for name in names}
+
+
 def common_rim(fits: Collection[Optimum]) -> dict[str, list[float]]:
-    """Return the numbers (n,) of each part of the pupil's rim that fits have, common to these."""
-    measured = _measured(fits)
-    names = dict.fromkeys(chain.from_iterable(map(_present, measured)))
-    rims = [name for name in names if name in KNOWN and KNOWN[name].of_rim]
-    return {name: _mean(_apart(measured, [name]))[0].tolist() for name in rims}
+    """Return the numbers (n,), common to all fits, of each part of the pupil's rim."""
+    return _common(_measured(fits), lambda part: part.of_rim)
 
 
 def _loss(values: Floats, weight: Floats) -> float:
@@ -183,12 +189,8 @@ def idle(fits: Collection[Optimum], names: Parts) -> Parts:
 
 def unphysical(fits: Sequence[Measured]) -> Parts:
     """Return the parts whose numbers, common to all fits, are below 0 where only positive numbers are physical."""
-    means = {
-        name: _mean(_apart(fits, [name]))[0]
-        for name in dict.fromkeys(chain.from_iterable(map(_present, fits)))
-        if name in KNOWN and not KNOWN[name].per_channel and KNOWN[name].one_sided
-    }
-    return Parts(name for name, of in means.items() if not (of.max() > 0 and of.sum() > 0))
+    means = _common(fits, lambda part: part.one_sided and not part.per_channel)
+    return Parts(name for name, of in means.items() if not (max(of) > 0 and sum(of) > 0))
 
 
 def extended(parts: Parts, name: str) -> Parts:
@@ -388,7 +390,7 @@ class CameraChoice:
         }
         promised = max((net[name] for name in net if not _far(name)), default=0.0)
         # modes that stand for a far part explain each fit, but little in common
-        far_first = promised < _unexplained(fits) - least
+        far_first = promised < (1 - SETTINGS.few) * _unexplained(fits)
         for name in sorted(net, key=lambda one: (not (far_first and _far(one)), -net[one])):
             if net[name] > 0:
                 yield extended(parts, name)

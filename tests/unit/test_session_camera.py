@@ -13,13 +13,10 @@ from labkit.estimation.scores import ScoreTest
 from labkit.estimation.searches import Task
 from labkit.plan import Plan
 from labkit.results.model import PartTried
-from tests.optimum_samples import PLAN, Play, optimum, played, range_of
+from tests.optimum_samples import PLAN, RANGES_MM, Play, optimum, played, range_of
 
 SCORE_TEST = ScoreTest(np.array([20.0]), np.eye(1))
 """A gain of 200 is promised."""
-
-FAR_MM = (2800.0, 3200.0)
-"""Ranges on both sides of best focus, far from it."""
 
 
 def names(of: Task | LocalFit) -> list[str]:
@@ -50,7 +47,7 @@ def session(
         return Found((made,))
 
     play = Play(ends)
-    return played(play, ranges_mm=FAR_MM, plan=plan, plain=plain), play
+    return played(play, ranges_mm=RANGES_MM[::3], plan=plan, plain=plain), play
 
 
 def by_smear(task: Task) -> float:
