@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from math import asin, cos, pi, radians, sin, sqrt
+from math import asin, atan2, cos, pi, radians, sin, sqrt
 
 import numpy as np
 from numpy.polynomial.hermite_e import hermeval
@@ -42,6 +42,9 @@ MEASURED_RADIUS = 500
 
 SPIKES = 180
 """Directions of half a turn that far light is counted in. A straight blade's light is narrower."""
+
+RIM_POINTS, ON_RIM = 36_000, 1e-9
+"""Points on each rim for these directions, and the distance within which they lie on it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +109,11 @@ class Pupil:
         return self.opening * sqrt(pi / area)
 
     @property
+    def apothem(self) -> float:
+        """Distance of straight blades from the axis."""
+        return self.extent * cos(pi / self.blades)
+
+    @property
     def clear_share(self) -> float:
         """Share of the clear area on the axis that the cat's eye leaves."""
         return _measured(self)[0]
@@ -136,8 +144,7 @@ class Pupil:
         for right, down, radius in self._discs():
             np.minimum(inside, radius - np.hypot(u - right, v - down), out=inside)
         for across, along in self._edges():
-            away = self.extent * cos(pi / self.blades)
-            np.minimum(inside, away - u * across - v * along, out=inside)
+            np.minimum(inside, self.apothem - u * across - v * along, out=inside)
         if self.obstruction:
             dark = self.obstruction * self.opening
             np.minimum(inside, np.hypot(u, v) - dark, out=inside)
@@ -202,17 +209,28 @@ def _in_samples(pupil: Pupil) -> Floats:
 
 @lru_cache(maxsize=64)
 def _spikes(pupil: Pupil) -> Floats:
-    """Return `Pupil.spikes`: of a band along the rims, by the direction in which the distance from them grows."""
-    inside = _in_samples(pupil)
-    by_row, by_column = np.gradient(inside, axis=0), np.gradient(inside, axis=1)
-    band = np.abs(inside) < RIM_REACH / 2
-    down, right, away = by_row[band], by_column[band], inside[band] / RIM_REACH
-    turn = (np.arctan2(down, right) / pi % 1 * SPIKES).astype(int) % SPIKES
-    weight = np.exp(-8 * away**2) * np.hypot(down, right)
-    lengths = np.bincount(turn, weight, SPIKES)
-    # the grid's squares leave 2 % of a direction's rims in the next ones
-    smooth = lengths + np.roll(lengths, 1) + np.roll(lengths, -1)
-    return np.asarray(smooth / smooth.mean())
+    """Return `Pupil.spikes`: the length of all rims that limit the light, by the direction across them."""
+    lengths = np.zeros(SPIKES)
+    for u, v, across, apart in _on_rims(pupil):
+        lit = pupil._from_rim(u, v) > -ON_RIM
+        turn = (across[lit] / pi % 1 * SPIKES).astype(int) % SPIKES
+        lengths += apart * np.bincount(turn, minlength=SPIKES)
+    return np.asarray(lengths / lengths.mean())
+
+
+def _on_rims(pupil: Pupil) -> Iterator[tuple[Floats, Floats, Floats, float]]:
+    """Yield points u, v of each rim, the directions across it, and the distance of points."""
+    share = (np.arange(RIM_POINTS) + 0.5) / RIM_POINTS
+    around, along = 2 * pi * share, 2 * pupil.extent * (share - 0.5)
+    dark = (0.0, 0.0, pupil.obstruction * pupil.opening)
+    for right, down, radius in (*pupil._discs(), dark):
+        u, v = right + radius * np.cos(around), down + radius * np.sin(around)
+        yield u, v, around, 2 * pi * radius / RIM_POINTS
+    for right, down in pupil._edges():
+        u = pupil.apothem * right - along * down
+        v = pupil.apothem * down + along * right
+        across = np.full(RIM_POINTS, atan2(down, right))
+        yield u, v, across, 2 * pupil.extent / RIM_POINTS
 
 
 @lru_cache(maxsize=64)

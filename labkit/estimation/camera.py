@@ -156,8 +156,8 @@ def _common(
 
 
 def common_rim(fits: Collection[Optimum]) -> dict[str, list[float]]:
-    """Return the numbers (n,), common to all fits, of each part of the pupil's rim."""
-    return _common(_measured(fits), lambda part: part.of_rim)
+    """Return the numbers (n,), common to several fits, of each part of the pupil's rim; none of a single fit."""
+    return _common(_measured(fits), lambda part: part.of_rim) if len(fits) > 1 else {}
 
 
 def _loss(values: Floats, weight: Floats) -> float:
