@@ -22,7 +22,7 @@ from labkit.estimation.settings import SETTINGS
 from labkit.execute import Run
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
-from labkit.imaging.window import WINDOW_AIRY
+from labkit.imaging.window import WIDEST_WINDOW, WINDOW_AIRY
 from labkit.mode_groups import MODE_GROUPS
 from labkit.sharing import Shared, share
 from labkit.target import Target
@@ -219,8 +219,14 @@ def _lens_of(session: Estimate, reached: Sequence[Reached], like: LensFit) -> Le
 
 
 def reach(leg: Leg) -> Reached:
-    """Expand the likelihood about the end of a step."""
-    expansion = expand(problem_of(leg), Start(leg.state))
+    """Expand the likelihood about the end of a step.
+
+    Images are through the widest window: the light that a usual one loses has pulled the members' f-numbers, and made straight
+    blades look rounded. Slopes, which take most of the time, are through the usual one.
+    """
+    relative = _problem(leg, WIDEST_WINDOW).relative(leg.state)
+    problem = _problem(leg, max(WINDOW_AIRY, leg.optics.window_airy(leg.state.waves)))
+    expansion = expand(problem, Start(leg.state, relative=relative))
     measured = expansion.measured()
     return Reached(
         leg.state,
@@ -231,15 +237,15 @@ def reach(leg: Leg) -> Reached:
     )
 
 
-def problem_of(leg: Leg) -> Problem:
-    """Return a leg's frames with a model about its state."""
+def _problem(leg: Leg, window_airy: float) -> Problem:
+    """Return a leg's frames with a model about its state, whose PSF has a window of a width, lambda N."""
     views, optics, state = leg.views.value, leg.optics, leg.state
     model = ForwardModel.build(
         optics,
         leg.target.value,
         views.frames[0].counts.shape,
         state.poses[0],
-        window_airy=max(WINDOW_AIRY, optics.window_airy(state.waves)),
+        window_airy=window_airy,
         brightness=views.frames[0].brightness,
         beside=views.frames[0].beside,
     )
