@@ -434,7 +434,7 @@ class CameraChoice:
         if whole.better(present):
             self.tried = [one for one in self.tried if one.name not in parts]
             self.tried += [PartTried(name, gain, True) for name in sorted(parts)]
-            self.missing = tuple(name for name in self.missing if name not in parts)
+            self.missing, self.with_missing = (), {}  # of the model before: asked again
             return Fitted(parts, {**present.ends, **whole.ends})
         far = all(map(_far, added))  # fitted whatever their scores promise
         least = _least_gain([present.ends[k] for k in whole.ends]) if far else 0.0

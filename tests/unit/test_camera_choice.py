@@ -252,6 +252,19 @@ def test_a_part_that_explains_too_little_is_named_as_missing() -> None:
     ] * FITS
 
 
+def test_a_part_that_was_missing_before_another_was_taken_in_is_not_named() -> None:
+    """Its fits lack what was taken in: with other modes they cannot be compared."""
+    fits = Fits({("smear",): 200.0}, {"smear": 300.0}, unexplained=1000.0)
+    choice = fits.chosen()[1]
+    later = Fits({("modes_16_21",): 900.0}, {"modes_16_21": 900.0}, unexplained=1000.0)
+    choice.refit = later.refit
+    ends = {k: later.end(Parts()) for k in range(FITS)}
+    assert choice.missing == ("smear",)
+    assert choice.chosen(ends, Parts()) == {"modes_16_21"}
+    assert choice.missing == ()
+    assert choice.with_missing == {}
+
+
 def test_an_obstruction_that_explains_too_little_is_not_named() -> None:
     """It is fitted whatever its score promises; another part that promised as little would not be."""
     fits = Fits({("obstruction",): 200.0}, {"obstruction": 40.0}, unexplained=1000.0)
