@@ -259,7 +259,8 @@ def test_a_part_that_was_missing_before_another_was_taken_in_is_not_named() -> N
     later = Fits({("modes_16_21",): 900.0}, {"modes_16_21": 900.0}, unexplained=1000.0)
     choice.refit = later.refit
     ends = {k: later.end(Parts()) for k in range(FITS)}
-    assert choice.missing == ("smear",)
+    before = choice.missing
+    assert before == ("smear",)
     assert choice.chosen(ends, Parts()) == {"modes_16_21"}
     assert choice.missing == ()
     assert choice.with_missing == {}
