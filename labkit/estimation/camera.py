@@ -21,7 +21,7 @@ from labkit.estimation.candidate import Measured
 from labkit.estimation.local import Optimum
 from labkit.estimation.scores import ScoreTest
 from labkit.estimation.settings import SETTINGS
-from labkit.imaging.parts import KNOWN, Blades, Part
+from labkit.imaging.parts import KNOWN, Blades
 from labkit.mode_groups import MODE_GROUPS
 from labkit.results.model import PartTried
 from labkit.types import Floats, Indices
@@ -146,20 +146,6 @@ def _mean(apart: Apart) -> tuple[Floats, Floats]:
     return np.linalg.solve(weight, pulled), weight
 
 
-def _common(
-    fits: Sequence[Measured], asked: Callable[[Part], bool]
-) -> dict[str, list[float]]:
-    """Return the numbers (n,), common to all fits, of each of their parts that is asked for."""
-    present = dict.fromkeys(chain.from_iterable(map(_present, fits)))
-    names = [name for name in present if name in KNOWN and asked(KNOWN[name])]
-    return {name: _mean(_apart(fits, [name]))[0].tolist() for name in names}
-
-
-def common_rim(fits: Collection[Optimum]) -> dict[str, list[float]]:
-    """Return the numbers (n,), common to several fits, of each part of the pupil's rim; none of a single fit."""
-    return _common(_measured(fits), lambda part: part.of_rim) if len(fits) > 1 else {}
-
-
 def _loss(values: Floats, weight: Floats) -> float:
     return 0.5 * float(values @ weight @ values)
 
@@ -189,8 +175,12 @@ def idle(fits: Collection[Optimum], names: Parts) -> Parts:
 
 def unphysical(fits: Sequence[Measured]) -> Parts:
     """Return the parts whose numbers, common to all fits, are below 0 where only positive numbers are physical."""
-    means = _common(fits, lambda part: part.one_sided and not part.per_channel)
-    return Parts(name for name, of in means.items() if not (max(of) > 0 and sum(of) > 0))
+    means = {
+        name: _mean(_apart(fits, [name]))[0]
+        for name in dict.fromkeys(chain.from_iterable(map(_present, fits)))
+        if name in KNOWN and not KNOWN[name].per_channel and KNOWN[name].one_sided
+    }
+    return Parts(name for name, of in means.items() if not (of.max() > 0 and of.sum() > 0))
 
 
 def extended(parts: Parts, name: str) -> Parts:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from itertools import chain, product
+from itertools import product
 
 import numpy as np
 
-from labkit.estimation.camera import Parts, common_rim, kind
+from labkit.estimation.camera import Parts, kind
 from labkit.estimation.climb import State
 from labkit.estimation.expansion import with_modes
 from labkit.estimation.local import Guesses, Optimum
@@ -89,8 +89,7 @@ class Refits:
         Fits have the parts in common: where new ones may begin in several ways, the observation that shows the pupil best
         tries all ways, and the others go on in each.
         """
-        common = common_rim(left.values())
-        tries = {k: self._starts(k, one, choice, common) for k, one in left.items()}
+        tries = {k: self._starts(k, one, choice) for k, one in left.items()}
         several = [k for k in tries if len(tries[k]) > 1]
         if not several:
             return self._searched({k: one for k, (one,) in tries.items()}, score, {})
@@ -127,9 +126,7 @@ class Refits:
         }
         return self._searched(starts, score, beside)
 
-    def _starts(
-        self, k: int, begin: Optimum, choice: Parts, common: Mapping[str, Sequence[float]]
-    ) -> list[tuple[Optics, State]]:
+    def _starts(self, k: int, begin: Optimum, choice: Parts) -> list[tuple[Optics, State]]:
         """Return the starts of an observation's refit with a choice of parts, from an optimum with a similar choice.
 
         A wrong f-number may have made up for new parts whose start is far from zero: then a start has the stated one too.
@@ -139,14 +136,11 @@ class Refits:
         k : the observation
         begin : its optimum
         choice : parts and modes
-        common : numbers of the rim that all observations show together: one may show them poorly, beside its modes
         """
-        own = begin.optics.parts
-        shared = [part.at(common.get(part.name, part.values)) for part in own]
-        new = choice - {part.name for part in own}
+        before = begin.optics.parts
+        new = choice - {part.name for part in before}
         sides = _sides(self._optics(k, begin, choice), new)
-        begun = (one.starts(before) for one in sides for before in (own, shared))
-        ways = list(dict.fromkeys(chain.from_iterable(begun)))
+        ways = [way for one in sides for way in one.starts(before)]
         starts = [_with_the_light(begin, one) for one in ways]
         stated = nominal_f_number(self.plan, self.search.ranges_mm).value
         off = abs(np.log(begin.optics.f_number / stated))

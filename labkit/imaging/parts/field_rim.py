@@ -157,10 +157,7 @@ class Vignetted(Part):
         return replace(self, place=place)
 
     def starts(self, before: Sequence[Part]) -> tuple[Self, ...]:
-        """Return the circle of another fit, or circles on opposite sides whose outlines here have an uneven field's harmonics.
-
-        The second harmonic does not tell the sides apart, and the third may stand for modes.
-        """
+        """Return the circle of another fit, or small and large circles on both sides that are like an uneven field here."""
         if found := [part for part in before if isinstance(part, type(self))]:
             return (self.at(found[0].values),)
         uneven = next((part for part in before if isinstance(part, UnevenField)), None)

@@ -266,10 +266,11 @@ MOST_SHIFT = 0.95
 """Largest shift, of the circle's radius: its centre and the pupil's both lie in the clear part."""
 
 ANGLES = np.linspace(0, FULL_TURN, 96, endpoint=False)
-SHIFTS = np.arange(0.1, 1.01, 0.1)
-SIZES = np.arange(0.7, 1.61, 0.1)
 START_DIRECTIONS = np.linspace(0, FULL_TURN, 36, endpoint=False)
-"""Circles that a fit may begin with."""
+TENTHS = 10
+SHIFTS = range(1, TENTHS + 1)
+SMALL_SIZES, LARGE_SIZES = range(7, TENTHS + 1), range(TENTHS + 1, 17)
+"""Circles that a fit may begin with, in tenths of the pupil's radius: some are no larger than the pupil."""
 
 USUAL_SHIFT, BLIND_DIRECTIONS = 0.4, np.linspace(0, FULL_TURN, 8, endpoint=False)
 """Of circles that a fit may begin with where no rim is known."""
@@ -335,10 +336,9 @@ class CatsEye(Part):
         return self.growth <= LEAST_GROWTH or self._circle.shift > AT_BOUND * most
 
     def starts(self, before: Sequence[Part]) -> tuple[Self, ...]:
-        """Return the circle of another fit, or circles on opposite sides whose outlines have the harmonics of an uneven rim.
+        """Return the circle of another fit, or small and large circles on both sides whose outlines are like an uneven rim.
 
-        The second harmonic does not tell the sides apart, and the third may stand for modes. Without either, circles on all
-        sides.
+        Without either, circles on all sides.
         """
         if eye := [part for part in before if isinstance(part, type(self))]:
             return (self.at(eye[0].values),)
@@ -392,20 +392,30 @@ class CatsEye(Part):
 
 def circles_like(
     uneven: Sequence[float], directions: Floats, least_size: float = 0.0
-) -> tuple[Circle, Circle]:
-    """Return the circle whose cut outline has second and third harmonics (4,) like these, and one on the opposite side.
+) -> list[Circle]:
+    """Return the circles whose cut outlines have second and third harmonics (4,) most like these: four that differ.
+
+    Two are no larger than the pupil and two are larger: one farther out cuts as deep, and climbs between them are slow. The
+    second of either two lies on the opposite side, for only the third harmonic tells sides apart, and it may stand for modes.
 
     directions: of their shifts, with opposite ones among them; least_size: radius
     """
-    circles = [
-        Circle(float(s), float(r), float(t))
-        for s, r, t in product(SHIFTS, SIZES, directions)
-        if r - 1 < s < r and r >= least_size
-    ]
-    away = [float(np.linalg.norm(_harmonics(one) - uneven)) for one in circles]
-    first, *ordered = (circles[k] for k in np.argsort(away))
-    other = next(one for one in ordered if math.cos(one.direction - first.direction) < 0)
-    return first, other
+    found: list[Circle] = []
+    for sizes in (SMALL_SIZES, LARGE_SIZES):
+        circles = [
+            Circle(s / TENTHS, r / TENTHS, float(t))
+            for s, r, t in product(SHIFTS, sizes, directions)
+            if r - TENTHS < s < r and r >= least_size * TENTHS
+        ]
+        away = [float(np.linalg.norm(_harmonics(one) - uneven)) for one in circles]
+        first, *others = (circles[k] for k in np.argsort(away, kind="stable"))
+        found += first, next(o for o in others if _opposite(o, first))
+    return found
+
+
+def _opposite(one: Circle, other: Circle) -> bool:
+    """Return whether circles are shifted to opposite sides."""
+    return math.cos(one.direction - other.direction) < 0
 
 
 def _harmonics(circle: Circle) -> Floats:
@@ -421,7 +431,7 @@ def _harmonics(circle: Circle) -> Floats:
     return np.array([part for one in turned for part in (one.real, one.imag)])
 
 
-@lru_cache(maxsize=SHIFTS.size * SIZES.size)
+@lru_cache(maxsize=len(SHIFTS) * (len(SMALL_SIZES) + len(LARGE_SIZES)))
 def _upright_harmonics(circle: Circle) -> tuple[complex, complex]:
     """Return the second and third harmonics, cosine and sine as a complex number, for a circle in the direction 0."""
     cut = Rim((Circle(), circle))
