@@ -32,7 +32,9 @@ REAL_LENS_STREAM = 3
 """Sets what draws these sessions apart from what draws others."""
 
 
-def draw_real_lens(seed: int, index: int, careful: bool = False) -> Drawn:
+def draw_real_lens(
+    seed: int, index: int, careful: bool = False, frames_per_range: int = 2
+) -> Drawn:
     """Draw a session at a field point of a commercial lens, whose plan says nothing of modes: before, about and behind focus.
 
     Every fifteen sessions have each of FIELD_DEG at each of REAL_F_NUMBERS once. The frame's centre is at that angle below
@@ -42,6 +44,7 @@ def draw_real_lens(seed: int, index: int, careful: bool = False) -> Drawn:
     ----------
     careful : whether the tape is good to CAREFUL_TAPE_STD_MM and the light to CAREFUL_LINE_STD_NM; otherwise as of other
         sessions, and the true wavelengths are stated
+    frames_per_range : photographs at each range
     """
     rng = np.random.default_rng([seed, index, REAL_LENS_STREAM])
     field_deg = FIELD_DEG[index % len(FIELD_DEG)]
@@ -67,7 +70,9 @@ def draw_real_lens(seed: int, index: int, careful: bool = False) -> Drawn:
         channel["wavelength_nm"] += CAREFUL_LINE_STD_NM * float(rng.standard_normal())
         channel |= {"wavelength_std_nm": CAREFUL_LINE_STD_NM, "width_nm": LINE_WIDTH_NM}
     plan = drawn.plan.replace(
-        channel=channels, fit={"zernike_noll": None, "range_zero_std_mm": tape_std_mm}
+        channel=channels,
+        fit={"zernike_noll": None, "range_zero_std_mm": tape_std_mm},
+        camera={"frames_per_range": frames_per_range},
     )
     settings = replace(drawn.settings, samples_per_pixel=REAL_SAMPLES)
     return Drawn(plan, settings, {**drawn.kind, "field_deg": field_deg})

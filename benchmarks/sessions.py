@@ -47,6 +47,7 @@ STUDIES: dict[str, Callable[[int, int], Drawn]] = {
     **KINDS,
     "real-lens": draw_real_lens,
     "real-lens-careful": partial(draw_real_lens, careful=True),
+    "real-lens-8-frames": partial(draw_real_lens, frames_per_range=8),
 }
 """Draw the sessions of each study, by seed and index."""
 
