@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from labkit.drivers.simulated.bench import Bench
+from labkit.drivers.simulated.optics import working_f_number
 from labkit.drivers.simulated.pupil import Pupil
-from labkit.drivers.simulated.spread import _cone
 from labkit.drivers.simulated.world import (
     BenchSettings,
     TrueLens,
@@ -29,13 +29,13 @@ from labkit.sharing import share
 
 from .test_scene import carpet
 
-NM, NOLL = 530.0, tuple(range(4, 12))
+NM, BEST_FOCUS_MM, NOLL = 530.0, 1870.0, tuple(range(4, 12))
 PUPIL = Pupil(blades=10, turn_deg=8.0, rounding=0.04)
 LENS = TrueLens(
     focal_length_mm=64.0,
     f_number=2.3,
     wavelength_nm={"G": NM},
-    best_focus_mm={"G": 1870.0},
+    best_focus_mm={"G": BEST_FOCUS_MM},
     noll=(),
     stated_waves={6: 0.1, 8: 0.1, 11: -0.05},
     pupil=PUPIL,
@@ -71,11 +71,14 @@ def noiseless() -> Leg:
         np.array([ELECTRONS / PANEL.contrast]),
         np.log([1.0, READ_VARIANCE]),
     )
-    straight = (1 - PUPIL.rounding) * np.exp(1j * PUPIL.blades * math.radians(8.0))
+    turn = PUPIL.blades * math.radians(PUPIL.turn_deg)
+    straight = (1 - PUPIL.rounding) * np.exp(1j * turn)
     optics = Optics(
         wavelength_nm=NM,
         reference_nm=450.0,
-        f_number=_cone(LENS, "G"),
+        f_number=working_f_number(
+            LENS.f_number, BEST_FOCUS_MM, LENS.focal_length_mm, LENS.pupil_magnification
+        ),
         pitch_um=SENSOR.pitch_um,
         active_um=SENSOR.pitch_um,
         noll=NOLL,

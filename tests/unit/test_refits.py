@@ -240,7 +240,7 @@ def test_an_obstruction_begins_at_the_fits_cone_alone_where_it_is_the_stated_one
 
 
 def test_an_eye_begins_from_a_rim_rather_than_from_likelier_blades() -> None:
-    """Where a fit shows the cut its circle is known; where none does, circles on all sides begin."""
+    """Where a fit shows the cut, four circles like it begin; where none does, eight on all sides."""
     round_one, bladed = end_with(NONE, 0.0, -100.0), end_with(BLADES, 0.0, 10.0)
     oval = fits_behind(OVAL, 0.0)[0]
     search = Played({0: bladed})
