@@ -124,6 +124,22 @@ def wald_losses(fits: Sequence[Measured]) -> dict[str, float]:
     return {name: _loss(*_mean(_apart(fits, [name]))) for name in present}
 
 
+def promised(end: Optimum, parts: Parts, choice: Parts) -> float:
+    """Return the log-likelihood that an optimum promises for another choice of parts and modes.
+
+    Score tests give what the parts gain that it lacks, Wald tests what the others lose.
+
+    Parameters
+    ----------
+    end : the optimum
+    parts : parts and modes in its model
+    choice : parts and modes of the other model
+    """
+    gains = sum(end.scores[name].gain for name in choice - parts if name in end.scores)
+    losses = wald_losses([end.measured])
+    return end.log_likelihood + gains - sum(losses.get(n, 0.0) for n in parts - choice)
+
+
 Apart = list[tuple[Floats, Floats]]
 """Of each fit, some numbers (n,) and their inverse covariance (n, n)."""
 
@@ -412,7 +428,7 @@ class CameraChoice:
         tests = self._tests(Fitted(rest, self.refit(telling, rest)))
         gains = {name: tests[name].gain for name in tests if kind(name) == Blades.kind}
         best = max(gains, key=lambda name: gains[name], default=None)
-        if best is not None and best not in had and gains[best] > cost(Parts({best})):
+        if best is not None and gains[best] > cost(Parts({best})):
             yield rest | {best}
 
     def _reached(self, present: Fitted, trial: Fitted) -> Fitted | None:

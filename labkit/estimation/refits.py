@@ -8,7 +8,7 @@ from itertools import product
 
 import numpy as np
 
-from labkit.estimation.camera import Parts, kind
+from labkit.estimation.camera import Parts, kind, promised
 from labkit.estimation.climb import State
 from labkit.estimation.expansion import with_modes
 from labkit.estimation.local import Guesses, Optimum
@@ -22,6 +22,9 @@ from labkit.optics.other_circle import over_other_circle
 from labkit.optics.wavefront import DEFOCUS
 from labkit.plan import Plan
 from labkit.types import Floats
+
+_Begin = tuple[float, Optimum | None]
+"""An optimum, if there is one, and the log-likelihood that it promises with other parts."""
 
 DOING = "fitting with other parts or modes"
 """What the progress says of refits."""
@@ -37,12 +40,14 @@ class Refits:
     plan : the session's plan
     made : by choice of parts and modes, the refitted optima by observation
     begun : likewise, the optima from which these were refitted
+    tried : choice, observation and log-likelihood of every optimum from which a refit was begun
     """
 
     search: Searches
     plan: Plan
     made: dict[Parts, dict[int, Optimum]] = field(default_factory=dict)
     begun: dict[Parts, dict[int, Optimum]] = field(default_factory=dict)
+    tried: set[tuple[Parts, int, float]] = field(default_factory=set)
 
     def __call__(
         self,
@@ -61,30 +66,48 @@ class Refits:
         choice : parts and modes to fit
         score : whether to test for parts and modes that the choice lacks
         """
-        kept = self.made.setdefault(choice, {})
-        begin = {k: self._most_similar(k, ends[k], parts, choice) for k in ends}
-        done = self.begun.setdefault(choice, {})
-        left = {
-            k: one
-            for k, one in begin.items()
-            if k not in kept or (one is not kept[k] and one is not done.get(k))
-        }
-        done.update(left)
+        kept, begun = self.made.setdefault(choice, {}), self.begun.setdefault(choice, {})
+        if parts == choice:
+            likelier = {k: one for k, one in ends.items() if _likelier(one, kept.get(k))}
+            kept.update(likelier)
+            begun.update(likelier)
+        begin = {k: self._most_promising(k, ends[k], parts, choice) for k in ends}
+        self._refit_again({k: begin[k] for k in ends if k in kept}, choice, score)
+        new = {k: one for k, (_, one) in begin.items() if one and k not in kept}
+        self.tried.update((choice, k, one.log_likelihood) for k, one in new.items())
         if kept:
-            kept.update(self._in_the_way_of(kept, left, choice, score))
+            kept.update(self._in_the_way_of(kept, begun, new, choice, score))
         else:
-            kept.update(self._first_with(left, choice, score))
+            kept.update(self._in_a_new_way(new, choice, score))
+        begun.update(new)
         return {k: kept[k] for k in ends if k in kept}
+
+    def _refit_again(self, begin: Mapping[int, _Begin], choice: Parts, score: bool) -> None:
+        """Refit observations again, in a new way, if other optima promise clearly more than the refits reached.
+
+        Fits have the parts in common, so all of them decide together.
+        """
+        kept = self.made[choice]
+        left = {k: one for k, (_, one) in begin.items() if one}
+        more = sum(begin[k][0] - kept[k].log_likelihood for k in left)
+        if more < SETTINGS.clear_gain:
+            return
+        self.tried.update((choice, k, one.log_likelihood) for k, one in left.items())
+        way = self._in_a_new_way(left, choice, score)
+        before = {k: kept[k] for k in way}
+        if _joint_plausibility(way) > _joint_plausibility(before):
+            kept.update(way)
+            self.begun[choice].update({k: left[k] for k in way})
 
     def add(self, others: Refits) -> None:
         """Add refits with choices that were not refitted before."""
         self.made |= others.made
         self.begun |= others.begun
 
-    def _first_with(
+    def _in_a_new_way(
         self, left: Mapping[int, Optimum], choice: Parts, score: bool
     ) -> dict[int, Optimum]:
-        """Refit observations with a choice for the first time.
+        """Refit observations with a choice, whatever its other refits.
 
         Fits have the parts in common: where new ones may begin in several ways, the observation that shows the pupil best
         tries all ways, and the others go on in each.
@@ -97,12 +120,13 @@ class Refits:
         rest = {k: one for k, one in left.items() if k != first}
         wanted = [(first, *self._wanted(one, score)) for one in tries[first]]
         ways = [{first: way.best} for way in self.search.each(wanted, DOING) if way]
-        whole = [way | self._in_the_way_of(way, rest, choice, score) for way in ways]
+        whole = [way | self._in_the_way_of(way, left, rest, choice, score) for way in ways]
         return max(whole, key=_joint_plausibility, default={})
 
     def _in_the_way_of(
         self,
         fitted: Mapping[int, Optimum],
+        begun: Mapping[int, Optimum],
         left: Mapping[int, Optimum],
         choice: Parts,
         score: bool,
@@ -112,15 +136,16 @@ class Refits:
         Parameters
         ----------
         fitted : refits with the choice
+        begun : the optima from which these were refitted
         left : optima to begin from
         """
         first = max(fitted, key=lambda k: self._shows_the_pupil(k, fitted[k]))
-        end, begun = fitted[first], self.begun[choice][first]
+        end, before = fitted[first], begun[first]
         starts = {
-            k: self._start_like(k, one, end, begun, choice) for k, one in left.items()
+            k: self._start_like(k, one, end, before, choice) for k, one in left.items()
         }
         beside = {
-            k: _moved(end, begun, one, starts[k][0])
+            k: _moved(end, before, one, starts[k][0])
             for k, one in left.items()
             if not end.optics.rim.is_round
         }
@@ -208,26 +233,40 @@ class Refits:
         )
         return optics, with_tests(guess, optics, self.plan) if score else guess
 
-    def _most_similar(self, k: int, end: Optimum, parts: Parts, choice: Parts) -> Optimum:
-        """Return the likeliest optimum of an observation among fits that differ from a choice by few parts and modes.
+    def _most_promising(self, k: int, end: Optimum, parts: Parts, choice: Parts) -> _Begin:
+        """Return the optimum of an observation that promises most for a choice, among fits that differ by few parts and modes.
 
         Fits that differ by one part, or by a part in place of another, are alike: the likelier one may have found an optimum
         that others missed. Modes begin at zero, and lose nothing; a part whose start is far from zero does, so fits that have
         it come first. So do fits that show where a cut lies, for a cut that is not known has its starts on all sides.
         """
         fitted = [(names, made[k]) for names, made in self.made.items() if k in made]
-        fitted.append((parts, end))
-        least = max(1, min(_steps(names, choice) for names, _ in fitted))
-        alike = [one for one in fitted if _steps(one[0], choice) <= least]
-        _, optimum = max(
+        left = [
+            (names, one)
+            for names, one in [*fitted, (parts, end)]
+            if names != choice and (choice, k, one.log_likelihood) not in self.tried
+        ]
+        least = max(1, min((_steps(names, choice) for names, _ in left), default=1))
+        alike = [
+            (names, promised(one, names, choice), one)
+            for names, one in left
+            if _steps(names, choice) <= least
+        ]
+        _, promise, optimum = max(
             alike,
             key=lambda one: (
                 -len(_far(choice - one[0])),
                 _cut(one[0]) or not _cut(choice),
-                one[1].log_likelihood,
+                one[1],
             ),
+            default=(parts, -np.inf, None),
         )
-        return optimum
+        return promise, optimum
+
+
+def _likelier(one: Optimum, other: Optimum | None) -> bool:
+    """Return whether an optimum is likelier than another one, if there is one."""
+    return other is None or one.log_likelihood > other.log_likelihood
 
 
 def _steps(before: Parts, choice: Parts) -> int:

@@ -406,15 +406,16 @@ class _Loop:
         if parts == self.parts:
             return False
         refitted = dict(self.refits.made[parts])
-        self.parts, self.starts = parts, {}
-        rest = [k for k in self.found if k not in refitted]
-        refitted |= self._with_parts(rest, parts)
+        before, self.parts, self.starts = self.parts, parts, {}
+        self.search.later = self._to_come()
+        rest = {k: self.chosen(k) for k in self.found if k not in refitted}
+        refitted |= self.refits(rest, before, parts)
         self.found = {k: replace(self.found[k], optima=(refitted[k],)) for k in refitted}
         return True
 
     def _with_parts(self, places: Sequence[int], parts: Parts) -> dict[int, Optimum]:
         """Refit from the present optima, with other camera parts and modes."""
-        self.search.later = self._to_come() if parts == self.parts else None
+        self.search.later = None
         return self.refits({k: self.chosen(k) for k in places}, self.parts, parts)
 
     def _to_come(self, *, bare: bool = True) -> int:

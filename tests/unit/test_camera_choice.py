@@ -388,6 +388,28 @@ def test_a_number_of_blades_that_nothing_contradicts_is_asked_once() -> None:
     assert Parts() not in [parts for _, parts in fits.refits]
 
 
+@dataclass
+class Astray(Fits):
+    """Fits that end with cat's eye and blades at a wrong optimum until the eye was fitted alone."""
+
+    def refit(self, places: Sequence[int], parts: Parts) -> dict[int, Optimum]:
+        if parts == Parts({"cats_eye"}):
+            self.heights = {**self.heights, ("cats_eye", "blades_6"): 70.0}
+        return super().refit(places, parts)
+
+
+def test_a_choice_is_fitted_again_after_fits_without_its_blades() -> None:
+    fits = Astray({("cats_eye",): 40.0}, {"blades_6": 20.0})
+    both = Parts({"cats_eye", "blades_6"})
+    wrong: dict[tuple[str, ...], float] = {("cats_eye", "blades_6"): 60.0}
+    ends = {k: Fits(wrong, {}).end(both) for k in range(FITS)}
+    choice = CameraChoice(fits.refit, Parts(), ["G"] * FITS)
+    assert choice.chosen(ends, both) == both
+    alone = [parts for _, parts in fits.refits].index(Parts({"cats_eye"}))
+    again = [count for count, parts in fits.refits[alone:] if parts == both]
+    assert again == [3, 2]  # all fits
+
+
 # what a choice promises
 
 

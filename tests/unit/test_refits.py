@@ -11,7 +11,9 @@ import pytest
 
 from labkit.estimation.local import Found, Guesses, Optimum
 from labkit.estimation.refits import Refits
+from labkit.estimation.scores import ScoreTest
 from labkit.estimation.searches import Searches
+from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import optics_of
 from labkit.imaging.optics import Optics
 from labkit.imaging.parts import KNOWN, Part
@@ -20,6 +22,7 @@ from tests.optimum_samples import PLAN, RANGES_MM, observations, optimum
 
 NONE = frozenset[str]()
 SMEAR = frozenset({"smear"})
+VEILED = frozenset({"veil"})
 UNEVEN = frozenset({"uneven_rim"})
 EYE = frozenset({"cats_eye"})
 BLADES = frozenset({"blades_5"})
@@ -92,6 +95,38 @@ def test_a_refit_without_a_part_begins_from_the_better_optimum_that_the_part_led
     refits({0: missed}, NONE, SMEAR)
     refits({0: missed}, NONE, NONE)
     np.testing.assert_allclose(search.begun, better.state.waves)
+
+
+@pytest.mark.parametrize(
+    ("promise", "reached", "kept"),
+    [(24.0, -5.0, -10.0), (25.0, -5.0, -5.0), (25.0, -12.0, -10.0)],
+)
+def test_a_refit_is_made_again_from_an_optimum_that_promises_clearly_more(
+    promise: float, reached: float, kept: float
+) -> None:
+    """An optimum with the smear alone, 20 below the refit with smear and veil, by a score test of the veil."""
+    first = end_with(VEILED | SMEAR, 0.1, -10.0)
+    beside = ScoreTest(np.array([np.sqrt(2 * promise)]), np.eye(1))
+    smeared = replace(end_with(SMEAR, 0.0, -30.0), scores={"veil": beside})
+    search = Played({0: first})
+    refits = Refits(cast(Searches, search), PLAN)
+    refits({0: end_with(VEILED, 0.1, -40.0)}, VEILED, VEILED | SMEAR)
+    search.ends = {0: replace(first, log_likelihood=reached)}
+    for _ in range(2):
+        ends = refits({0: smeared}, SMEAR, VEILED | SMEAR)
+        assert ends[0].log_likelihood == kept
+    again = promise > 20.0 + SETTINGS.clear_gain
+    assert len(search.turns) == (1 + again)
+    if again:
+        np.testing.assert_allclose(search.begun, smeared.state.waves)
+
+
+def test_a_present_optimum_with_the_choice_is_no_reason_for_a_refit() -> None:
+    present = end_with(SMEAR, 0.0, 0.0)
+    search = Played({})
+    refits = Refits(cast(Searches, search), PLAN)
+    assert refits({0: present}, SMEAR, SMEAR) == {0: present}
+    assert search.turns == []
 
 
 def test_modes_are_added_to_a_fit_with_the_obstruction_though_all_modes_explain_more() -> (
