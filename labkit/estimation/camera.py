@@ -245,6 +245,17 @@ def _net(tests: Mapping[str, ScoreTest], parts: Parts) -> dict[str, float]:
     }
 
 
+def promised_gain(fits: Sequence[tuple[str, Optimum]], parts: Parts) -> float:
+    """Return the most that a further part promises to gain, less its cost; 0 where none gains more than it costs.
+
+    Parameters
+    ----------
+    fits : channel and optimum of each fit
+    parts : parts and modes in their model
+    """
+    return max([0.0, *_net(summed_score_tests(fits), parts).values()])
+
+
 def _far(name: str) -> bool:
     """Return whether only a fit determines the gain of a part, and no score test."""
     return name in KNOWN and KNOWN[name].far
@@ -355,11 +366,11 @@ class CameraChoice:
                 if gain <= 0:
                     refused.add(choice)
                     continue
-                promised = max([0.0, *_net(self._summed(trial), choice).values()])
-                trials.append((gain + promised, trial))
+                further = promised_gain(self._fits(trial), choice)
+                trials.append((gain + further, trial))
                 kinds |= {kind(name) for name in added}
                 explained = _explained(trial.ends.values()) == len(trial.ends)
-                complete = explained and promised < SETTINGS.clear_gain
+                complete = explained and further < SETTINGS.clear_gain
                 if complete or not added or len(trials) == SETTINGS.tried:
                     break
             if not trials:
@@ -394,9 +405,9 @@ class CameraChoice:
             for name, gain in _net(tests, parts).items()
             if (tests[name].gain > least or _far(name)) and name not in self.wanted
         }
-        promised = max((net[name] for name in net if not _far(name)), default=0.0)
+        near = max((net[name] for name in net if not _far(name)), default=0.0)
         # modes that stand for a far part explain each fit, but little in common
-        far_first = promised < (1 - SETTINGS.few) * _unexplained(fits)
+        far_first = near < (1 - SETTINGS.few) * _unexplained(fits)
         for name in sorted(net, key=lambda one: (not (far_first and _far(one)), -net[one])):
             if net[name] > 0:
                 yield extended(parts, name)
@@ -413,12 +424,11 @@ class CameraChoice:
         """Return the summed score tests of some fits, by which all numbers of blades are compared."""
         if not any(kind(name) == Blades.kind for name in present.parts):
             self.compared.add(present.parts)
-        return self._summed(present)
+        return summed_score_tests(self._fits(present))
 
-    def _summed(self, fitted: Fitted) -> dict[str, ScoreTest]:
-        return summed_score_tests(
-            [(self.channels[k], one) for k, one in fitted.ends.items()]
-        )
+    def _fits(self, fitted: Fitted) -> list[tuple[str, Optimum]]:
+        """Return channel and optimum of each fit."""
+        return [(self.channels[k], one) for k, one in fitted.ends.items()]
 
     def _with_blades(self, present: Fitted, choice: Parts) -> Iterator[Parts]:
         """Propose a choice with another number of blades, by scores of fits with its other parts."""

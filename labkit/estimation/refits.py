@@ -8,7 +8,7 @@ from itertools import product
 
 import numpy as np
 
-from labkit.estimation.camera import Parts, kind, promised
+from labkit.estimation.camera import Parts, kind, promised, promised_gain
 from labkit.estimation.climb import State
 from labkit.estimation.expansion import with_modes
 from labkit.estimation.local import Guesses, Optimum
@@ -95,7 +95,7 @@ class Refits:
         self.tried.update((choice, k, one.log_likelihood) for k, one in left.items())
         way = self._in_a_new_way(left, choice, score)
         before = {k: kept[k] for k in way}
-        if _joint_plausibility(way) > _joint_plausibility(before):
+        if self._worth(way, choice) > self._worth(before, choice):
             kept.update(way)
             self.begun[choice].update({k: left[k] for k in way})
 
@@ -121,7 +121,7 @@ class Refits:
         wanted = [(first, *self._wanted(one, score)) for one in tries[first]]
         ways = [{first: way.best} for way in self.search.each(wanted, DOING) if way]
         whole = [way | self._in_the_way_of(way, left, rest, choice, score) for way in ways]
-        return max(whole, key=_joint_plausibility, default={})
+        return max(whole, key=lambda ends: self._worth(ends, choice), default={})
 
     def _in_the_way_of(
         self,
@@ -201,6 +201,16 @@ class Refits:
         optics = optics_of(self.plan, observation.channel, observation.tile_place)
         return optics.with_parts(choice).with_named(
             begin.optics.camera_labels, begin.optics.camera_parameters
+        )
+
+    def _worth(self, ends: Mapping[int, Optimum], choice: Parts) -> float:
+        """Return the plausibility of several observations' optima with a choice, and what a further part promises to gain.
+
+        A wrong way may explain as much as the right one as long as a part is missing, and less once it is there.
+        """
+        channels = [self.search.observations[k].channel for k in ends]
+        return sum(map(_plausibility, ends.values())) + promised_gain(
+            list(zip(channels, ends.values(), strict=True)), choice
         )
 
     def _shows_the_pupil(self, k: int, end: Optimum) -> tuple[float, float]:
@@ -311,11 +321,6 @@ def _moved(
     optics = optics.with_named(end.optics.camera_labels, end.optics.camera_parameters)
     farther = other.optics.f_number / before
     return replace(optics, f_number=end.optics.f_number * farther), waves
-
-
-def _joint_plausibility(ends: Mapping[int, Optimum]) -> float:
-    """Return the plausibility of several observations' optima."""
-    return sum(map(_plausibility, ends.values()))
 
 
 def _plausibility(end: Optimum) -> float:
