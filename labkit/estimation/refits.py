@@ -24,7 +24,7 @@ from labkit.plan import Plan
 from labkit.types import Floats
 
 _Begin = tuple[float, Optimum | None]
-"""An optimum, if there is one, and the log-likelihood that it promises with other parts."""
+"""An optimum, if there is one, and its log-likelihood, or the one that it promises with other parts."""
 
 DOING = "fitting with other parts or modes"
 """What the progress says of refits."""
@@ -71,7 +71,7 @@ class Refits:
             likelier = {k: one for k, one in ends.items() if _likelier(one, kept.get(k))}
             kept.update(likelier)
             begun.update(likelier)
-        begin = {k: self._most_promising(k, ends[k], parts, choice) for k in ends}
+        begin = {k: self._begin(k, ends[k], parts, choice) for k in ends}
         self._refit_again({k: begin[k] for k in ends if k in kept}, choice, score)
         new = {k: one for k, (_, one) in begin.items() if one and k not in kept}
         self.tried.update((choice, k, one.log_likelihood) for k, one in new.items())
@@ -243,12 +243,13 @@ class Refits:
         )
         return optics, with_tests(guess, optics, self.plan) if score else guess
 
-    def _most_promising(self, k: int, end: Optimum, parts: Parts, choice: Parts) -> _Begin:
-        """Return the optimum of an observation that promises most for a choice, among fits that differ by few parts and modes.
+    def _begin(self, k: int, end: Optimum, parts: Parts, choice: Parts) -> _Begin:
+        """Return the optimum from which an observation is refitted, among fits that differ by few parts and modes.
 
-        Fits that differ by one part, or by a part in place of another, are alike: the likelier one may have found an optimum
-        that others missed. Modes begin at zero, and lose nothing; a part whose start is far from zero does, so fits that have
-        it come first. So do fits that show where a cut lies, for a cut that is not known has its starts on all sides.
+        The first refit begins from the likeliest one, which may have found an optimum that others missed, and later ones from
+        the one that promises most: far optima promise too much. Fits that differ by one part, or by a part in place of another,
+        are alike. Modes begin at zero, and lose nothing; a part whose start is far from zero does, so fits that have it come
+        first. So do fits that show where a cut lies, for a cut that is not known has its starts on all sides.
         """
         fitted = [(names, made[k]) for names, made in self.made.items() if k in made]
         left = [
@@ -257,12 +258,13 @@ class Refits:
             if names != choice and (choice, k, one.log_likelihood) not in self.tried
         ]
         least = max(1, min((_steps(names, choice) for names, _ in left), default=1))
+        again = k in self.made[choice]
         alike = [
-            (names, promised(one, names, choice), one)
+            (names, promised(one, names, choice) if again else one.log_likelihood, one)
             for names, one in left
             if _steps(names, choice) <= least
         ]
-        _, promise, optimum = max(
+        _, height, optimum = max(
             alike,
             key=lambda one: (
                 -len(_far(choice - one[0])),
@@ -271,7 +273,7 @@ class Refits:
             ),
             default=(parts, -np.inf, None),
         )
-        return promise, optimum
+        return height, optimum
 
 
 def _likelier(one: Optimum, other: Optimum | None) -> bool:
