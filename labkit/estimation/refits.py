@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 
@@ -95,7 +95,7 @@ class Refits:
         self.tried.update((choice, k, one.log_likelihood) for k, one in left.items())
         way = self._in_a_new_way(left, choice, score)
         before = {k: kept[k] for k in way}
-        if self._worth(way, choice) > self._worth(before, choice):
+        if _joint_plausibility(way) > _joint_plausibility(before):
             kept.update(way)
             self.begun[choice].update({k: left[k] for k in way})
 
@@ -121,7 +121,7 @@ class Refits:
         wanted = [(first, *self._wanted(one, score)) for one in tries[first]]
         ways = [{first: way.best} for way in self.search.each(wanted, DOING) if way]
         whole = [way | self._in_the_way_of(way, left, rest, choice, score) for way in ways]
-        return max(whole, key=lambda ends: self._worth(ends, choice), default={})
+        return self._most_plausible(whole, choice)
 
     def _in_the_way_of(
         self,
@@ -203,15 +203,22 @@ class Refits:
             begin.optics.camera_labels, begin.optics.camera_parameters
         )
 
-    def _worth(self, ends: Mapping[int, Optimum], choice: Parts) -> float:
-        """Return the plausibility of several observations' optima with a choice, and what a further part promises to gain.
+    def _most_plausible(
+        self, ways: Sequence[dict[int, Optimum]], choice: Parts
+    ) -> dict[int, Optimum]:
+        """Return the most plausible refits with a choice, by observation; if several explain alike, those that call for more.
 
-        A wrong way may explain as much as the right one as long as a part is missing, and less once it is there.
+        As long as a part is missing, a wrong way may explain as much as the right one, which gains more by the part.
         """
-        channels = [self.search.observations[k].channel for k in ends]
-        return sum(map(_plausibility, ends.values())) + promised_gain(
-            list(zip(channels, ends.values(), strict=True)), choice
-        )
+        channels = [one.channel for one in self.search.observations]
+
+        def hoped(ends: Mapping[int, Optimum]) -> float:
+            fits = [(channels[k], one) for k, one in ends.items()]
+            return _joint_plausibility(ends) + promised_gain(fits, choice)
+
+        least = max(map(_joint_plausibility, ways), default=0.0) - SETTINGS.clear_gain
+        alike = [ends for ends in ways if _joint_plausibility(ends) > least]
+        return max(alike, key=hoped, default={})
 
     def _shows_the_pupil(self, k: int, end: Optimum) -> tuple[float, float]:
         """Return ranks of how well a photograph shows the pupil: in a corner of the frame, and far from focus."""
@@ -323,6 +330,11 @@ def _moved(
     optics = optics.with_named(end.optics.camera_labels, end.optics.camera_parameters)
     farther = other.optics.f_number / before
     return replace(optics, f_number=end.optics.f_number * farther), waves
+
+
+def _joint_plausibility(ends: Mapping[int, Optimum]) -> float:
+    """Return the plausibility of several observations' optima."""
+    return sum(map(_plausibility, ends.values()))
 
 
 def _plausibility(end: Optimum) -> float:
