@@ -23,8 +23,8 @@ from labkit.optics.wavefront import DEFOCUS
 from labkit.plan import Plan
 from labkit.types import Floats
 
-_Begin = tuple[float, Optimum | None]
-"""An optimum, if there is one, and its log-likelihood, or the one that it promises with other parts."""
+_Begin = tuple[float, Optimum] | None
+"""An optimum, if there is one, and the log-likelihood that it promises with other parts."""
 
 DOING = "fitting with other parts or modes"
 """What the progress says of refits."""
@@ -73,7 +73,7 @@ class Refits:
             begun.update(likelier)
         begin = {k: self._begin(k, ends[k], parts, choice) for k in ends}
         self._refit_again({k: begin[k] for k in ends if k in kept}, choice, score)
-        new = {k: one for k, (_, one) in begin.items() if one and k not in kept}
+        new = {k: one[1] for k, one in begin.items() if one and k not in kept}
         self.tried.update((choice, k, one.log_likelihood) for k, one in new.items())
         if kept:
             kept.update(self._in_the_way_of(kept, begun, new, choice, score))
@@ -88,8 +88,9 @@ class Refits:
         Fits have the parts in common, so all of them decide together.
         """
         kept = self.made[choice]
-        left = {k: one for k, (_, one) in begin.items() if one}
-        more = sum(begin[k][0] - kept[k].log_likelihood for k in left)
+        left = {k: one[1] for k, one in begin.items() if one}
+        promise = sum(one[0] for one in begin.values() if one)
+        more = promise - sum(kept[k].log_likelihood for k in left)
         if more < SETTINGS.clear_gain:
             return
         self.tried.update((choice, k, one.log_likelihood) for k, one in left.items())
@@ -253,10 +254,10 @@ class Refits:
     def _begin(self, k: int, end: Optimum, parts: Parts, choice: Parts) -> _Begin:
         """Return the optimum from which an observation is refitted, among fits that differ by few parts and modes.
 
-        The first refit begins from the likeliest one, which may have found an optimum that others missed, and later ones from
-        the one that promises most: far optima promise too much. Fits that differ by one part, or by a part in place of another,
-        are alike. Modes begin at zero, and lose nothing; a part whose start is far from zero does, so fits that have it come
-        first. So do fits that show where a cut lies, for a cut that is not known has its starts on all sides.
+        Fits that differ by one part, or by a part in place of another, are alike: the likelier one may have found an optimum
+        that others missed. Modes begin at zero, and lose nothing; a part whose start is far from zero does, so fits that have
+        it come first. So do fits that show where a cut lies, for a cut that is not known has its starts on all sides, and fits
+        that promise more than an earlier refit reached. Of these too the likeliest is taken: far ones promise too much.
         """
         fitted = [(names, made[k]) for names, made in self.made.items() if k in made]
         left = [
@@ -264,23 +265,26 @@ class Refits:
             for names, one in [*fitted, (parts, end)]
             if names != choice and (choice, k, one.log_likelihood) not in self.tried
         ]
-        least = max(1, min((_steps(names, choice) for names, _ in left), default=1))
-        again = k in self.made[choice]
+        if not left:
+            return None
+        least = max(1, min(_steps(names, choice) for names, _ in left))
+        kept = self.made[choice].get(k)
+        reached = kept.log_likelihood if kept else -np.inf
         alike = [
-            (names, promised(one, names, choice) if again else one.log_likelihood, one)
+            (names, promised(one, names, choice), one)
             for names, one in left
             if _steps(names, choice) <= least
         ]
-        _, height, optimum = max(
+        _, promise, optimum = max(
             alike,
             key=lambda one: (
                 -len(_far(choice - one[0])),
                 _cut(one[0]) or not _cut(choice),
-                one[1],
+                one[1] > reached,
+                one[2].log_likelihood,
             ),
-            default=(parts, -np.inf, None),
         )
-        return height, optimum
+        return promise, optimum
 
 
 def _likelier(one: Optimum, other: Optimum | None) -> bool:

@@ -23,6 +23,7 @@ from tests.optimum_samples import PLAN, RANGES_MM, observations, optimum
 NONE = frozenset[str]()
 SMEAR = frozenset({"smear"})
 VEILED = frozenset({"veil"})
+DIFFUSE = frozenset({"diffusion"})
 UNEVEN = frozenset({"uneven_rim"})
 EYE = frozenset({"cats_eye"})
 BLADES = frozenset({"blades_5"})
@@ -74,6 +75,12 @@ def end_with(
     return optimum(optics, RANGES_MM[0], off=(off, 0.0), height=height, square=square)
 
 
+def calling_for(name: str, gain: float, end: Optimum) -> Optimum:
+    """An optimum whose score test promises a gain by a part of one number."""
+    test = ScoreTest(np.array([np.sqrt(2 * gain)]), np.eye(1))
+    return replace(end, scores={name: test})
+
+
 def fits_behind(part: Part, *off: float) -> dict[int, Optimum]:
     """Fits with a part of the rim, by observation, off by some waves of defocus."""
     fits = {}
@@ -106,8 +113,7 @@ def test_a_refit_is_made_again_from_an_optimum_that_promises_clearly_more(
 ) -> None:
     """An optimum with the smear alone, 20 below the refit with smear and veil, by a score test of the veil."""
     first = end_with(VEILED | SMEAR, 0.1, -10.0)
-    beside = ScoreTest(np.array([np.sqrt(2 * promise)]), np.eye(1))
-    smeared = replace(end_with(SMEAR, 0.0, -30.0), scores={"veil": beside})
+    smeared = calling_for("veil", promise, end_with(SMEAR, 0.0, -30.0))
     search = Played({0: first})
     refits = Refits(cast(Searches, search), PLAN)
     refits({0: end_with(VEILED, 0.1, -40.0)}, VEILED, VEILED | SMEAR)
@@ -119,6 +125,22 @@ def test_a_refit_is_made_again_from_an_optimum_that_promises_clearly_more(
     assert len(search.turns) == (1 + again)
     if again:
         np.testing.assert_allclose(search.begun, smeared.state.waves)
+
+
+def test_a_refit_is_made_again_from_the_likeliest_optimum_that_promises_more() -> None:
+    """A far optimum promises more yet, which no score tells; a likelier one, with a part besides, promises nothing."""
+    kept = end_with(VEILED | SMEAR, 0.1, -50.0)
+    search = Played({0: kept})
+    refits = Refits(cast(Searches, search), PLAN)
+    refits({0: end_with(VEILED, 0.1, -60.0)}, VEILED, VEILED | SMEAR)
+    near = calling_for("veil", 20.0, end_with(SMEAR, 0.2, -45.0))
+    far = calling_for("veil", 9000.0, end_with(SMEAR | DIFFUSE, 0.3, -1000.0))
+    numbers = [0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+    richer = end_with(VEILED | SMEAR | OBSTRUCTED, 0.4, -40.0, numbers)
+    refits.made[SMEAR | DIFFUSE] = {0: far}
+    refits.made[VEILED | SMEAR | OBSTRUCTED] = {0: richer}
+    refits({0: near}, SMEAR, VEILED | SMEAR)
+    np.testing.assert_allclose(search.begun, near.state.waves)
 
 
 def test_a_present_optimum_with_the_choice_is_no_reason_for_a_refit() -> None:
@@ -237,11 +259,10 @@ class Promising(Cut):
     def end(self, k: int, optics: Optics, guess: Guesses) -> Optimum:
         end = super().end(k, optics, guess)
         wrong = optics.parts[0].values[0] < 0
-        gain = 5.0 if wrong else 35.0
-        blades = ScoreTest(np.array([np.sqrt(2 * gain)]), np.eye(1))
         height = -100.0 + (self.more if wrong else 0.0)
         height += float(np.log(abs(end.waves[1])))  # as plausible as the other side's modes
-        return replace(end, log_likelihood=height, scores={"blades_7": blades})
+        end = replace(end, log_likelihood=height)
+        return calling_for("blades_7", 5.0 if wrong else 35.0, end)
 
 
 @pytest.mark.parametrize(("more", "side"), [(1.0, 1), (2.0, -1)])
