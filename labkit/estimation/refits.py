@@ -67,7 +67,7 @@ class Refits:
         score : whether to test for parts and modes that the choice lacks
         """
         kept, begun = self.made.setdefault(choice, {}), self.begun.setdefault(choice, {})
-        if parts == choice:
+        if parts == choice:  # the present optima are fits with it
             likelier = {k: one for k, one in ends.items() if _likelier(one, kept.get(k))}
             kept.update(likelier)
             begun.update(likelier)
