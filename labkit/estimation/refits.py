@@ -23,8 +23,8 @@ from labkit.optics.wavefront import DEFOCUS
 from labkit.plan import Plan
 from labkit.types import Floats
 
-_Begin = tuple[float, Optimum] | None
-"""An optimum, if there is one, and the log-likelihood that it promises with other parts."""
+_Begin = tuple[float, Optimum]
+"""An optimum, and the log-likelihood that it promises with other parts."""
 
 DOING = "fitting with other parts or modes"
 """What the progress says of refits."""
@@ -71,9 +71,10 @@ class Refits:
             likelier = {k: one for k, one in ends.items() if _likelier(one, kept.get(k))}
             kept.update(likelier)
             begun.update(likelier)
-        begin = {k: self._begin(k, ends[k], parts, choice) for k in ends}
-        self._refit_again({k: begin[k] for k in ends if k in kept}, choice, score)
-        new = {k: one[1] for k, one in begin.items() if one and k not in kept}
+        every = {k: self._begin(k, ends[k], parts, choice) for k in ends}
+        begin = {k: one for k, one in every.items() if one}
+        self._refit_again({k: begin[k] for k in begin if k in kept}, choice, score)
+        new = {k: one for k, (_, one) in begin.items() if k not in kept}
         self.tried.update((choice, k, one.log_likelihood) for k, one in new.items())
         if kept:
             kept.update(self._in_the_way_of(kept, begun, new, choice, score))
@@ -88,9 +89,8 @@ class Refits:
         Fits have the parts in common, so all of them decide together.
         """
         kept = self.made[choice]
-        left = {k: one[1] for k, one in begin.items() if one}
-        promise = sum(one[0] for one in begin.values() if one)
-        more = promise - sum(kept[k].log_likelihood for k in left)
+        left = {k: one for k, (_, one) in begin.items()}
+        more = sum(promise - kept[k].log_likelihood for k, (promise, _) in begin.items())
         if more < SETTINGS.clear_gain:
             return
         self.tried.update((choice, k, one.log_likelihood) for k, one in left.items())
@@ -251,8 +251,8 @@ class Refits:
         )
         return optics, with_tests(guess, optics, self.plan) if score else guess
 
-    def _begin(self, k: int, end: Optimum, parts: Parts, choice: Parts) -> _Begin:
-        """Return the optimum from which an observation is refitted, among fits that differ by few parts and modes.
+    def _begin(self, k: int, end: Optimum, parts: Parts, choice: Parts) -> _Begin | None:
+        """Return the optimum from which an observation is refitted, if any is left, of fits that differ by few parts.
 
         Fits that differ by one part, or by a part in place of another, are alike: the likelier one may have found an optimum
         that others missed. Modes begin at zero, and lose nothing; a part whose start is far from zero does, so fits that have
