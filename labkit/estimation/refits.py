@@ -77,7 +77,7 @@ class Refits:
         new = {k: one for k, (_, one) in begin.items() if k not in kept}
         self.tried.update((choice, k, one.log_likelihood) for k, one in new.items())
         if kept:
-            kept.update(self._in_the_way_of(kept, begun, new, choice, score))
+            kept.update(self._found(self._following(kept, begun, new, choice, score)))
         else:
             kept.update(self._in_a_new_way(new, choice, score))
         begun.update(new)
@@ -116,23 +116,42 @@ class Refits:
         tries = {k: self._starts(k, one, choice) for k, one in left.items()}
         several = [k for k in tries if len(tries[k]) > 1]
         if not several:
-            return self._searched({k: one for k, (one,) in tries.items()}, score, {})
+            return self._found({k: self._wanted(one, score) for k, (one,) in tries.items()})
         first = max(several, key=lambda k: self._shows_the_pupil(k, left[k]))
         rest = {k: one for k, one in left.items() if k != first}
         wanted = [(first, *self._wanted(one, score)) for one in tries[first]]
         ways = [{first: way.best} for way in self.search.each(wanted, DOING) if way]
-        whole = [way | self._in_the_way_of(way, left, rest, choice, score) for way in ways]
-        return self._most_plausible(whole, choice)
+        self._follow(ways, left, rest, choice, score)
+        return self._most_plausible(ways, choice)
 
-    def _in_the_way_of(
+    def _follow(
+        self,
+        ways: Sequence[dict[int, Optimum]],
+        begun: Mapping[int, Optimum],
+        left: Mapping[int, Optimum],
+        choice: Parts,
+        score: bool,
+    ) -> None:
+        """Add to each way the refits of observations that follow it, of all ways at once: workers share them."""
+        wanted = [
+            (way, k, one)
+            for way in ways
+            for k, one in self._following(way, begun, left, choice, score).items()
+        ]
+        ends = self.search.each([(k, *one) for _, k, one in wanted], DOING)
+        for (way, k, _), found in zip(wanted, ends, strict=True):
+            if found:
+                way[k] = found.best
+
+    def _following(
         self,
         fitted: Mapping[int, Optimum],
         begun: Mapping[int, Optimum],
         left: Mapping[int, Optimum],
         choice: Parts,
         score: bool,
-    ) -> dict[int, Optimum]:
-        """Refit observations from their optima with the pupil of the fit that shows it best, or from its wavefront.
+    ) -> dict[int, tuple[Optics, Guesses]]:
+        """Return searches of observations with the pupil of the fit that shows it best, or from its wavefront.
 
         Parameters
         ----------
@@ -150,7 +169,7 @@ class Refits:
             for k, one in left.items()
             if not end.optics.rim.is_round
         }
-        return self._searched(starts, score, beside)
+        return {k: self._wanted(one, score, beside.get(k)) for k, one in starts.items()}
 
     def _starts(self, k: int, begin: Optimum, choice: Parts) -> list[tuple[Optics, State]]:
         """Return the starts of an observation's refit with a choice of parts, from an optimum with a similar choice.
@@ -226,16 +245,10 @@ class Refits:
         height = float(np.hypot(*self.search.observations[k].place))
         return height, abs(float(end.waves[0]))
 
-    def _searched(
-        self,
-        starts: Mapping[int, tuple[Optics, State]],
-        score: bool,
-        beside: Mapping[int, tuple[Optics, Floats]],
-    ) -> dict[int, Optimum]:
-        """Climb from starts of some observations, or from optics and modes beside."""
-        if not starts:
+    def _found(self, wanted: Mapping[int, tuple[Optics, Guesses]]) -> dict[int, Optimum]:
+        """Climb, and return the optima of the observations that are not lost."""
+        if not wanted:
             return {}
-        wanted = {k: self._wanted(one, score, beside.get(k)) for k, one in starts.items()}
         return {k: found.best for k, found in self.search(wanted, DOING).items()}
 
     def _wanted(
