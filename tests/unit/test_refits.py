@@ -39,6 +39,7 @@ class Played:
     turns: list[dict[int, tuple[Optics, Guesses]]] = field(default_factory=list)
     observations: Any = field(default_factory=observations)
     ranges_mm: list[float] = field(default_factory=list)
+    at_once: list[int] = field(default_factory=list)
 
     @property
     def wanted(self) -> dict[int, tuple[Optics, Guesses]]:
@@ -60,6 +61,7 @@ class Played:
     def each(
         self, wanted: Sequence[tuple[int, Optics, Guesses]], doing: str
     ) -> list[Found]:
+        self.at_once.append(len(wanted))
         return [self({k: (optics, guess)}, doing)[k] for k, optics, guess in wanted]
 
     def end(self, k: int, optics: Optics, guess: Guesses) -> Optimum:
@@ -210,6 +212,7 @@ def test_both_sides_are_tried_far_from_focus_and_other_fits_begin_with_the_bette
     assert eyes[:, 2].round(1).tolist() == pytest.approx([-0.2, 0.0, 0.1, 0.1])
     assert np.sign(eyes[:, 0]).tolist() == [-1, 1, 1, -1]
     assert [list(one) for one in later] == [[1 - far]] * 4
+    assert search.at_once == [4, 4]
     optics, guess = later[1][1 - far]
     assert ends[far].optics.parts == optics.parts
     assert guess.beside is not None
