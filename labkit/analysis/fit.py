@@ -12,7 +12,6 @@ from math import inf
 from pathlib import Path
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from labkit.analysis.common_numbers import common_numbers
 from labkit.analysis.field_results import as_field
@@ -67,6 +66,7 @@ from labkit.session.stated import contradictions
 from labkit.session.verify import altered as altered_files
 from labkit.session.verify import as_error, unused
 from labkit.target import Target, open_target
+from labkit.threads import one_thread
 from labkit.types import Progress, no_progress
 
 FIT_AGAIN = "fit again: that goes on where this one ended"
@@ -79,6 +79,7 @@ Ranges = float | Sequence[float] | None
 Channels = str | Sequence[str] | None
 
 
+@one_thread
 def fit(
     session: Session | Path | str,
     *,
@@ -145,7 +146,6 @@ def fit(
     together = None
     with (
         fitted_alone(folder),
-        threadpool_limits(1),
         _running(run, workers, steps) as mapped,
     ):
         kept = KeptFits(mapped, folder / FOLDER)

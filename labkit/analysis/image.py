@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
-from threadpoolctl import threadpool_limits
 
 from labkit.analysis.session_results import as_wavefront
 from labkit.arrays import mask_array, positive, real_array
@@ -28,11 +27,13 @@ from labkit.imaging.warp import Pose
 from labkit.plan.sensor import ChannelPixels, channel_pixels, pattern_of
 from labkit.results import Wavefront
 from labkit.target import Target
+from labkit.threads import one_thread
 from labkit.types import Bools, Floats
 
 GIVEN_NOISE_STD = 0.05  # relative error of a gain and a read variance that the caller gives: priors of the fit
 
 
+@one_thread
 def fit_image(
     counts: ArrayLike,
     target: Target,
@@ -88,9 +89,8 @@ def fit_image(
     noise = _noise(images, gain, read_noise)
     observation = _observation(images, good, target, corners, channel, pixels, noise)
     views = Views(observation.frames, observation.poses, noise)
-    with threadpool_limits(1):  # several for matrices of this size take twice the time
-        found = find_optima(optics, target, views, Guesses(deep=True, alone=True))
-        return as_wavefront(LocalFit(observation, found.best.canonical(), found))
+    found = find_optima(optics, target, views, Guesses(deep=True, alone=True))
+    return as_wavefront(LocalFit(observation, found.best.canonical(), found))
 
 
 def _observation(

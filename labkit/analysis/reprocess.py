@@ -10,8 +10,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from threadpoolctl import threadpool_limits
-
 from labkit.analysis.fit import fit
 from labkit.analysis.inputs import why_outdated
 from labkit.errors import DataError, LabkitError, NewerError, WorkersError
@@ -20,6 +18,7 @@ from labkit.execute import Executed, Run, Workers, default_workers
 from labkit.files import check_name, is_full
 from labkit.results.storage import accept_failed_fits, kept_content, plan_of
 from labkit.session.session import Session
+from labkit.threads import one_thread
 from labkit.types import Progress, no_progress
 
 State = Literal["up to date", "to do", "fitted", "failed", "skipped"]
@@ -60,6 +59,7 @@ class Reprocessed:
         }
 
 
+@one_thread
 def reprocess(
     sessions: Iterable[Path | str],
     *,
@@ -166,17 +166,16 @@ def _running(
     run: Run | Executor | None, workers: int | None, needed: bool
 ) -> Iterator[tuple[Run, int]]:
     """Yield a map for all fits, and the number of sessions under way at once."""
-    with threadpool_limits(1):
-        if isinstance(run, Executor):
-            yield Executed(run), AT_ONCE
-        elif run is not None:
-            yield run, AT_ONCE
-        else:
-            count = (workers or default_workers()) if needed else 1
-            with Workers(count) as processes:
-                processes.warm_up(fit_task.__module__)
-                # with one worker fits run in this process, one session after the other
-                yield processes, min(count, AT_ONCE)
+    if isinstance(run, Executor):
+        yield Executed(run), AT_ONCE
+    elif run is not None:
+        yield run, AT_ONCE
+    else:
+        count = (workers or default_workers()) if needed else 1
+        with Workers(count) as processes:
+            processes.warm_up(fit_task.__module__)
+            # with one worker fits run in this process, one session after the other
+            yield processes, min(count, AT_ONCE)
 
 
 def _each(

@@ -32,6 +32,7 @@ from labkit.optics.field import FieldFrame
 from labkit.optics.lens import ThinLens, defocus_waves
 from labkit.photographs.photograph import Photograph
 from labkit.plan import Plan, leading_channel
+from labkit.threads import one_thread
 from labkit.types import Floats, Progress, no_progress
 
 PLACES_ACROSS = 7
@@ -40,6 +41,7 @@ CONTRADICTED = 1e-3  # probability of the defoci if the law and the ranges were 
 FITTING = "fitting places"
 
 
+@one_thread
 def measure_chart(
     images: Path | str | Sequence[Path | str],
     plan: Plan | Path | str,

@@ -24,6 +24,7 @@ from labkit.findings import each_once, found
 from labkit.photographs.photograph import Photograph
 from labkit.plan import Plan, leading_channel
 from labkit.results import Results
+from labkit.threads import one_thread
 from labkit.types import Floats, Progress, no_progress
 from labkit.uncertain import Uncertain
 
@@ -32,6 +33,7 @@ NEAR_LINE_PX = 3  # pixels as near to a line show how far it extends
 STEP = "fitting edges"
 
 
+@one_thread
 def measure_edges(
     images: Path | str | Sequence[Path | str],
     plan: Plan | Path | str,

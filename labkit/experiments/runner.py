@@ -19,6 +19,7 @@ from labkit.execute import default_workers, run_all
 from labkit.experiments.studies import STUDIES
 from labkit.figure_style import png, styled
 from labkit.files import write_atomically
+from labkit.threads import one_thread
 from labkit.types import Progress, no_progress
 
 Task = TypeVar("Task")
@@ -68,6 +69,7 @@ def all_answers(
     return [answers[index] for index in range(len(tasks))]
 
 
+@one_thread
 def run_study(
     name: str,
     *,

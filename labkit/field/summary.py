@@ -37,6 +37,7 @@ from labkit.optics.field import FieldModel
 from labkit.optics.mtf import Curve, mtf, mtf50
 from labkit.plan import leading_channel
 from labkit.results import Results
+from labkit.threads import one_thread
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
@@ -148,6 +149,7 @@ class FieldSummary:
         }
 
 
+@one_thread
 def summarise_field(results: Results, channel: str | None = None) -> FieldSummary:
     """Return what a lens tester reads from a session's field.
 

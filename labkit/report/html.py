@@ -40,6 +40,7 @@ from labkit.report.table import (
 )
 from labkit.report.tiles import central_tile, of_tile
 from labkit.results import Results, Wavefront
+from labkit.threads import one_thread
 from labkit.types import Floats, Progress, no_progress
 
 if TYPE_CHECKING:
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
 TEMPLATES = Path(__file__).parent / "templates"
 
 
+@one_thread
 def write_report(
     results: Results | Path | str,
     *,

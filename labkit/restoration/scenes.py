@@ -20,6 +20,7 @@ from labkit.restoration.restored_photographs import (
 from labkit.restoration.strength import DISCREPANCY, Choice
 from labkit.results import Results
 from labkit.session.session import Session
+from labkit.threads import one_thread
 from labkit.types import Progress, no_progress
 
 
@@ -31,6 +32,7 @@ class Scene(Protocol):
         ...
 
 
+@one_thread
 def restore(
     photographs: Path | str | Sequence[Path | str],
     psf: Path | str | None = None,

@@ -13,7 +13,15 @@ LAYERS = {
     "base": [
         *("types", "errors", "key", "mode_groups", "pace", "uncertain", "version"),
         *("finding_texts", "findings", "files", "arrays", "npz", "typed_file", "apart"),
-        *("sharing", "numerics", "processes", "execute", "cluster", "figure_style"),
+        *(
+            "sharing",
+            "numerics",
+            "processes",
+            "threads",
+            "execute",
+            "cluster",
+            "figure_style",
+        ),
         *("spectra", "plan", "target", "target_grid", "target_file"),
     ],
     "model": ["optics", "panel", "imaging"],
