@@ -144,10 +144,7 @@ def fit(
     workers = _processes(workers or default_workers(), plan, len(keys))
     target, steps = open_target(plan.target), Steps(progress)
     together = None
-    with (
-        fitted_alone(folder),
-        _running(run, workers, steps) as mapped,
-    ):
+    with fitted_alone(folder), _running(run, workers, steps) as mapped:
         kept = KeptFits(mapped, folder / FOLDER)
         observations, assumed = observe(
             session,

@@ -247,8 +247,6 @@ class Refits:
 
     def _found(self, wanted: Mapping[int, tuple[Optics, Guesses]]) -> dict[int, Optimum]:
         """Climb, and return the optima of the observations that are not lost."""
-        if not wanted:
-            return {}
         return {k: found.best for k, found in self.search(wanted, DOING).items()}
 
     def _wanted(

@@ -99,6 +99,8 @@ class Searches:
         wanted : place of the observation, optics to start from and guesses
         doing : kind of search, for the progress
         """
+        if not wanted:
+            return []
         results: list[Found | None] = [None] * len(wanted)
         order = sorted(range(len(wanted)), key=lambda i: wanted[i][1].wavelength_um)
         tasks = [self._task(*wanted[i]) for i in order]

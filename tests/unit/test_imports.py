@@ -13,16 +13,8 @@ LAYERS = {
     "base": [
         *("types", "errors", "key", "mode_groups", "pace", "uncertain", "version"),
         *("finding_texts", "findings", "files", "arrays", "npz", "typed_file", "apart"),
-        *(
-            "sharing",
-            "numerics",
-            "processes",
-            "threads",
-            "execute",
-            "cluster",
-            "figure_style",
-        ),
-        *("spectra", "plan", "target", "target_grid", "target_file"),
+        *("sharing", "numerics", "processes", "execute", "cluster", "figure_style"),
+        *("threads", "spectra", "plan", "target", "target_grid", "target_file"),
     ],
     "model": ["optics", "panel", "imaging"],
     "material": [

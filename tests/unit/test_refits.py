@@ -55,7 +55,8 @@ class Played:
     def __call__(
         self, wanted: Mapping[int, tuple[Optics, Guesses]], doing: str
     ) -> dict[int, Found]:
-        self.turns.append(dict(wanted))
+        if wanted:
+            self.turns.append(dict(wanted))
         return {k: Found((self.end(k, *one),)) for k, one in wanted.items()}
 
     def each(
