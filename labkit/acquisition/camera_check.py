@@ -23,8 +23,8 @@ from labkit.devices.protocols import (
 )
 from labkit.devices.registry import open_camera
 from labkit.errors import CameraError, TargetError
-from labkit.finder.find_target import grey_image
 from labkit.finder.lattice import find_targets
+from labkit.finder.picture import Picture
 from labkit.finder.sharpness import blur_px, sharpest_edge_px
 from labkit.photographs.decoding import read_photograph
 from labkit.photographs.exposure import exposure_problem, pixel_noise
@@ -200,11 +200,10 @@ def _blur_on_target(mosaic: Photograph, alone: LoneCamera) -> tuple[float | None
     if not alone.planned:
         return None, "not looked for: give a plan that describes it"
     try:
-        grey = grey_image(mosaic.light, mosaic.pattern)
-        target = open_target(alone.plan.target)
-        return blur_px(
-            grey, target, find_targets(grey, alone.plan.target)[0]
-        ), "found, wholly in the frame"
+        picture = Picture.of(mosaic)
+        at = find_targets(picture, alone.plan.target)[0]
+        blur = blur_px(picture, open_target(alone.plan.target), at)
+        return blur, "found, wholly in the frame"
     except TargetError as error:
         return None, str(error)
 

@@ -17,8 +17,9 @@ from labkit.devices.observer import Observer, Viewer
 from labkit.devices.protocols import ExposureSettings, Previewing, Rail
 from labkit.devices.registry import observers_of, open_monitor, open_rail
 from labkit.errors import PlanError, TargetError
-from labkit.finder.find_target import grey_image, margin_px
+from labkit.finder.find_target import margin_px
 from labkit.finder.lattice import find_targets
+from labkit.finder.picture import Picture
 from labkit.finder.preview import Look
 from labkit.finder.sharpness import blur_px, sharpest_edge_px
 from labkit.photographs.decoding import read_photograph
@@ -186,9 +187,9 @@ def _target(
 ) -> tuple[Floats | None, float | None, float | None]:
     """Return the target's corners, its blur circle and its distance from the frame's edge, in pixels."""
     target = open_target(alone.plan.target)
+    picture = Picture.of(mosaic)
     try:
-        grey = grey_image(mosaic.light, mosaic.pattern)
-        tiles = find_targets(grey, alone.plan.target)
+        tiles = find_targets(picture, alone.plan.target)
     except TargetError:
         return None, None, None
-    return tiles[0], blur_px(grey, target, tiles[0]), margin_px(tiles, grey.shape)
+    return tiles[0], blur_px(picture, target, tiles[0]), margin_px(tiles, picture.shape)

@@ -22,7 +22,7 @@ from labkit.acquisition.patient import PatientDevices
 from labkit.devices.protocols import Check, Checkable, Picture
 from labkit.errors import DataError, DeviceError, InputError, LabkitError, TargetError
 from labkit.files import write_atomically, writing
-from labkit.finder.find_target import grey_image, margin_px
+from labkit.finder.find_target import margin_px
 from labkit.finder.lattice import find_targets
 from labkit.finder.preview import Look, jpeg
 from labkit.finder.sharpness import blur_px, sharpest_edge_px
@@ -178,12 +178,11 @@ class _Round:
         lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
         scale = float(ground_sample_mm(lens, range_mm, plan.sensor.pixel_pitch_um))
         try:
-            grey = _grey(look)
             return replace(
                 look,
                 corners_px=np.array([given])
                 if given
-                else find_targets(grey, plan.target, mm_per_pixel=scale),
+                else find_targets(look.mosaic, plan.target, mm_per_pixel=scale),
             )
         except TargetError as error:
             self.findings.problems.append(
@@ -192,11 +191,10 @@ class _Round:
             return look
 
     def _blur_px(self, look: Look, range_mm: float, seen: Path) -> float:
-        corners = look.corners_px
-        grey = _grey(look)
+        corners, shape = look.corners_px, look.mosaic.shape
         assert corners is not None
-        blur = blur_px(grey, open_target(self.plan.target), corners[0])
-        margin = margin_px(corners, grey.shape)
+        blur = blur_px(look.mosaic, open_target(self.plan.target), corners[0])
+        margin = margin_px(corners, shape)
         if margin < 0:
             away = f"the target reaches {-margin:.0f} pixels out of the frame: move it, or the camera, back in"
             self.findings.problems.append(
@@ -207,7 +205,7 @@ class _Round:
             "margin_px": round(margin, 1),
         }
         if self.plan.target.of_many:
-            self._note_field(corners, grey.shape, range_mm)
+            self._note_field(corners, shape, range_mm)
         return blur
 
     def _note_field(self, tiles: Floats, shape: tuple[int, ...], range_mm: float) -> None:
@@ -265,11 +263,6 @@ class _Kept:
     def seen(self) -> Path:
         """Path of the photograph's preview."""
         return self.file.with_name(f"{self.file.stem}_seen.jpg")
-
-
-def _grey(look: Look) -> Floats:
-    mosaic = look.mosaic
-    return grey_image(mosaic.light, mosaic.pattern)
 
 
 def _check_disk(folder: Path, frames: int, findings: Findings) -> None:

@@ -21,7 +21,8 @@ from labkit.estimation.likelihood import FrameData, low_orders
 from labkit.estimation.local import Guesses, Views, find_optima
 from labkit.estimation.observation import Observation
 from labkit.finder.cut import cut_around, sees_target_only
-from labkit.finder.find_target import find_target, grey_image
+from labkit.finder.find_target import find_target
+from labkit.finder.picture import Picture
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
 from labkit.plan.sensor import ChannelPixels, channel_pixels, pattern_of
@@ -139,7 +140,7 @@ def _corners(
         corners = np.broadcast_to(corners, (len(images), *corners.shape[-2:]))
         return list(real_array("corners_px", corners, (len(images), 4, 2), "pixels"))
     return [
-        find_target(grey_image(image, tuple(pattern)), target, mm_per_pixel=mm_per_pixel)
+        find_target(Picture(image, pattern), target, mm_per_pixel=mm_per_pixel)
         for image in images
     ]
 

@@ -11,9 +11,9 @@ import numpy as np
 
 from labkit.errors import LostTasksError, TargetError
 from labkit.execute import Run
-from labkit.finder.carpet_squares import central_square
-from labkit.finder.find_target import find_target, grey_image
+from labkit.finder.find_target import find_target
 from labkit.finder.lattice import find_tiles
+from labkit.finder.picture import Picture
 from labkit.key import Tile
 from labkit.optics.lens import ThinLens, ground_sample_mm
 from labkit.photographs.decoding import read_photograph
@@ -114,14 +114,14 @@ def locate(
     """
     if plan.target.corners_px is not None:
         return {None: np.array(plan.target.corners_px, float)}
+    picture = Picture.of(photograph)
     try:
-        grey = grey_image(photograph.light, photograph.pattern)
         scale = _stated_scale(range_mm, plan)
         if (grid := open_grid(plan.target)) is not None:
-            return dict(find_tiles(grey, grid, mm_per_pixel=scale).items())
-        return {None: _found(grey, target, scale)}
+            return dict(find_tiles(picture, grid, mm_per_pixel=scale).items())
+        return {None: find_target(picture, target, mm_per_pixel=scale)}
     except TargetError as error:
-        if other := _other_surround(photograph, range_mm, plan):
+        if other := _other_surround(picture, range_mm, plan):
             raise TargetError(
                 f"{file}: the target is found in it if its surround is {other}, but the plan has target.surround = "
                 f'"{plan.target.surround}": write "{other}"'
@@ -129,17 +129,14 @@ def locate(
         raise TargetError(f"{file}: {error}") from error
 
 
-def _other_surround(
-    photograph: Photograph, range_mm: float | None, plan: Plan
-) -> str | None:
+def _other_surround(picture: Picture, range_mm: float | None, plan: Plan) -> str | None:
     """Return the surround with which the target is found, black or white, where the plan states the other."""
     if plan.target.surround not in SURROUND_LEVELS:
         return None
     (other,) = SURROUND_LEVELS.keys() - {plan.target.surround}
     target = open_target(plan.replace(target={"surround": other}).target)
     try:
-        grey = grey_image(photograph.light, photograph.pattern)
-        _found(grey, target, _stated_scale(range_mm, plan))
+        find_target(picture, target, mm_per_pixel=_stated_scale(range_mm, plan))
     except TargetError:
         return None
     return other
@@ -151,21 +148,3 @@ def _stated_scale(range_mm: float | None, plan: Plan) -> float | None:
         return None
     lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
     return float(ground_sample_mm(lens, range_mm, plan.sensor.pixel_pitch_um))
-
-
-def _found(grey: Floats, target: Target, mm_per_pixel: float | None) -> Floats:
-    """Find the target's corners at the stated scale or at any scale; a wrong statement then shows in the target's size.
-
-    A carpet is searched for at any scale first, for a wrong scale would match a smaller carpet inside. Other targets are
-    found sooner at the right scale.
-    """
-    scales = (
-        [mm_per_pixel, None] if central_square(target) is None else [None, mm_per_pixel]
-    )
-    failures: list[TargetError] = []
-    for scale in dict.fromkeys(scales):
-        try:
-            return find_target(grey, target, mm_per_pixel=scale)
-        except TargetError as error:
-            failures.append(error)
-    raise failures[0]

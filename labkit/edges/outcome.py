@@ -16,7 +16,7 @@ from labkit.edges.found_edges import Box
 from labkit.edges.response import Response
 from labkit.errors import TargetError
 from labkit.files import write_folder
-from labkit.finder.find_target import grey_image
+from labkit.finder.picture import grey_image
 from labkit.findings import Finding, found
 from labkit.photographs.decoding import read_photograph
 from labkit.plan import Plan, leading_channel

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from labkit.errors import TargetError
-from labkit.finder.find_target import grey_image
+from labkit.finder.picture import Picture, grey_image
+from labkit.finder.registration import neighbourhood
 from labkit.photographs.photograph import Photograph
 from labkit.target import Target
 from labkit.types import Counts, Floats
@@ -84,20 +85,23 @@ def _lit_part(counts: Counts) -> tuple[tuple[int, int], tuple[int, int]]:
     return span(along_rows, rows), span(along_cols, cols)
 
 
-def blur_px(image: ArrayLike, target: Target, corners: Floats) -> float:
+def blur_px(
+    image: ArrayLike | Photograph | Picture, target: Target, corners: Floats
+) -> float:
     """Return the diameter in pixels of the blur circle at which the rendered target agrees best with the image.
 
-    image: (rows, cols) grey; corners: (4, 2) from `find_target`. The diameter is right
+    image, corners: as `find_target` takes and returns them. The diameter is right
     within about a third; below two pixels, lens and pixels themselves blur as much. Out of
     focus the circle is the pupil's shadow, thesis (E.9).
     """
     side = float(np.mean(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1)))
-    scale = min(1.0, BLUR_SIDE / side)
+    near, at, factor = neighbourhood(Picture.of(image), corners, BLUR_SIDE)
+    scale = min(1.0 / factor, BLUR_SIDE / side)
     rows, cols = (
         max(9, round(side * scale * side_mm / float(np.mean(target.size_mm))))
         for side_mm in target.size_mm
     )
-    straightened = _straightened(np.asarray(image, dtype=np.float32), corners, rows, cols)
+    straightened = _straightened(near, at, rows, cols)
     y = ((np.arange(rows) + 0.5) / rows - 0.5) * target.size_mm[0]
     x = ((np.arange(cols) + 0.5) / cols - 0.5) * target.size_mm[1]
     sharp = target.sample(y, x, 0.4 * rows / target.size_mm[0]).astype(np.float32)

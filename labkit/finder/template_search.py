@@ -1,63 +1,88 @@
-"""Search an image for a target of any kind: correlation over scale, rotation and position."""
+"""Search a photograph for a target of any kind: correlation over scale, direction and position in coarse copies."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from labkit.finder.carpet_search import Likely
+from labkit.finder.picture import Picture
 from labkit.target import Target
 from labkit.types import Floats
 
 Singles = NDArray[np.float32]
 
-COARSE_SIDE = 64
-"""Width of the target in the binned picture of the search, pixels."""
+COARSE_SIDE = 48
+"""Samples along the target's first axis in a copy of the photograph."""
 
 BLUR_PX = 1.2
-"""Blur of picture and template, which widens the peak, so that steps of scale and angle can be coarse."""
+"""Blur of photograph and template, which widens the peak, so that steps of scale and angle can be coarse."""
 
 LEAST_DEVIATION = 0.01
-"""Standard deviation, of a picture from 0 to 1, where a target may be: JPEG makes dark parts perfectly even."""
+"""Standard deviation, relative to the photograph's range, where a target may be: JPEG makes dark parts perfectly even."""
 
-TILTS_DEG = np.linspace(-15.0, 15.0, 11)
-SCALE_STEP = 1.05
+TILTS_DEG = np.linspace(-45.0, 45.0, 22, endpoint=False)
+SCALE_STEP = 1.06
+
+LEAST_PX = 48.0
+"""Length of the smallest target that is searched for where no scale is known."""
+
+MOST_OF_AN_OCTAVE = 6
+"""Places that each octave of sizes yields."""
 
 
-def swept_hypotheses(
-    image: Singles, target: Target, sides_px: Floats, most: int = 6
-) -> Iterator[Floats]:
-    """Yield corners (4, 2) (row, col) of the likeliest places, best first.
+def likely_places(
+    picture: Picture, target: Target, sides_px: tuple[float, float] | None
+) -> Iterator[list[Likely]]:
+    """Yield likely places of a target in any direction: octave by octave of sizes, from the largest on, the likeliest first.
 
-    image: (rows, cols); sides_px: the target's heights to try. All four quarter turns are
-    tried, each ±15 degrees.
+    Parameters
+    ----------
+    picture : the photograph
+    target : the target
+    sides_px : least and most length of its first axis, pixels; None for all that are in the frame
     """
+    per_mm = float(np.min(np.array(picture.shape) / target.size_mm))
+    least, most = sides_px or (LEAST_PX, SCALE_STEP * per_mm * target.size_mm[0])
+    steps = max(1, round(np.log(most / least) / np.log(SCALE_STEP))) if most > least else 0
+    sides = np.geomspace(most, least, steps + 1)
     templates = _templates(target)
-    places: list[tuple[float, Floats]] = []
-    for side in sides_px:
-        shape = tuple(max(1, round(n * COARSE_SIDE / side)) for n in image.shape)
-        how = cv2.INTER_AREA if side > COARSE_SIDE else cv2.INTER_LINEAR
-        small = cv2.GaussianBlur(
-            cv2.resize(image, shape[::-1], interpolation=how), (0, 0), BLUR_PX
+    octave = round(np.log(2) / np.log(SCALE_STEP))
+    for start in range(0, len(sides), octave):
+        yield _distinct(
+            place
+            for side in sides[start : start + octave]
+            for place in _places(picture, float(side), templates)
         )
-        scale = np.array(image.shape) / np.array(shape)
-        for template, corners in templates:
-            if template.shape[0] > shape[0] or template.shape[1] > shape[1]:
-                continue
-            _, score, _, (col, row) = cv2.minMaxLoc(
-                _likeness(np.asarray(small, dtype=np.float32), template)
-            )
-            places.append((score, (corners + (row, col) + 0.5) * scale - 0.5))
-    places.sort(key=lambda place: place[0], reverse=True)
-    kept: list[Floats] = []
-    for _, corners in places:
-        if len(kept) < most and all(
-            np.max(np.abs(corners - other)) > 0.1 * np.ptp(corners) for other in kept
+
+
+def _places(
+    picture: Picture, side_px: float, templates: list[tuple[Singles, Floats]]
+) -> Iterator[Likely]:
+    """Yield the likeliest place of each template in a copy of the photograph in which the target has COARSE_SIDE samples."""
+    scale = COARSE_SIDE / side_px
+    small = cv2.GaussianBlur(picture.scaled(scale), (0, 0), BLUR_PX)
+    small = np.asarray(small / max(float(np.ptp(small)), 1e-9), np.float32)
+    for template, corners in templates:
+        if template.shape[0] <= small.shape[0] and template.shape[1] <= small.shape[1]:
+            likeness = _likeness(small, template)
+            _, score, _, (col, row) = cv2.minMaxLoc(likeness)
+            yield Likely((corners + (row, col) + 0.5) / scale - 0.5, float(score))
+
+
+def _distinct(places: Iterable[Likely]) -> list[Likely]:
+    """Return the likeliest places, none near another."""
+    kept = list[Likely]()
+    for place in sorted(places, key=lambda one: -one.likeness):
+        near = 0.1 * place.side_px
+        if len(kept) < MOST_OF_AN_OCTAVE and all(
+            np.abs(place.corners - other.corners).max() > near for other in kept
         ):
-            kept.append(corners)
-            yield corners
+            kept.append(place)
+    return kept
 
 
 def _likeness(picture: Singles, template: Singles) -> Singles:

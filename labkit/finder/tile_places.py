@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labkit.errors import TargetError
-from labkit.finder.registration import OWN_CORNERS, homography
+from labkit.finder.picture import Picture
+from labkit.finder.registration import OWN_CORNERS, homography, neighbourhood
 from labkit.target_grid import MARK_MODULES, Place, TargetGrid
 from labkit.types import Floats
-
-Singles = NDArray[np.float32]
 
 MODULE_PX = 8
 """Side of a mark's module in the straightened picture from which it is read; the middle half of a module counts."""
@@ -72,7 +71,7 @@ class _Way:
     each: Floats
 
 
-def first_place(picture: Singles, lattice: Lattice, grid: TargetGrid) -> Place:
+def first_place(picture: Picture, lattice: Lattice, grid: TargetGrid) -> Place:
     """Return the lattice's place of the grid's first target.
 
     Raises TargetError for a grid that contradicts the plan, is turned or mirrored, and for
@@ -90,7 +89,7 @@ def first_place(picture: Singles, lattice: Lattice, grid: TargetGrid) -> Place:
 
 
 def _marks(
-    picture: Singles, lattice: Lattice, grid: TargetGrid
+    picture: Picture, lattice: Lattice, grid: TargetGrid
 ) -> Iterator[tuple[Place, Floats]]:
     """Yield the place of the target up and left of each mark, and the light (4, 4) of the mark's bits."""
     own_mm = OWN_CORNERS * grid.tile.size_mm
@@ -98,7 +97,10 @@ def _marks(
     rows, cols = ((0, -1) if count > 1 else (0,) for count in grid.grid)
     looked: set[Place] = set()
     for (row, col), corners in lattice.tiles.items():
-        by = homography(own_mm, corners)
+        image, at, _ = neighbourhood(
+            picture, corners, _samples(grid), grid.pitch_mm / min(grid.tile.size_mm)
+        )
+        by = homography(own_mm, at)
         for down, right in product(rows, cols):
             place = (row + down, col + right)
             if place in looked:
@@ -108,19 +110,24 @@ def _marks(
                 (step + 0.5) * grid.pitch_mm if count > 1 else 0.0
                 for step, count in zip((down, right), grid.grid, strict=True)
             ]
-            levels = _levels(picture, by, np.array(middle) + OWN_CORNERS * grid.mark_mm)
+            levels = _levels(image, by, np.array(middle) + OWN_CORNERS * grid.mark_mm)
             if np.ptp(levels) > LEAST_MARK_CONTRAST:  # False for nan
                 yield place, levels[1:-1, 1:-1]
 
 
-def _levels(picture: Singles, by: Floats, corners_mm: Floats) -> Floats:
+def _samples(grid: TargetGrid) -> float:
+    """Return the samples across a target in which a module of a mark has MODULE_PX."""
+    return min(grid.tile.size_mm) / grid.mark_mm * MARK_MODULES * MODULE_PX
+
+
+def _levels(image: NDArray[np.float32], by: Floats, corners_mm: Floats) -> Floats:
     """Return the mean light in the modules (6, 6) of a mark; nan outside of the picture."""
     side = MARK_MODULES * MODULE_PX
     end = side - 0.5
     straight = np.array([[-0.5, -0.5], [-0.5, end], [end, end], [end, -0.5]])
     from_straight = by @ homography(straight, corners_mm)
     upright = cv2.warpPerspective(
-        picture,
+        image,
         from_straight,
         (side, side),
         flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.random_sessions import draw_with_parts, make
-from labkit.finder.find_target import find_target, grey_image
+from labkit.finder.find_target import find_target
 from labkit.photographs.decoding import read_photograph
 from labkit.target import open_target
 
@@ -22,10 +22,7 @@ def test_a_pose_out_of_the_frame_is_not_the_last_that_is_looked_at(tmp_path: Pat
     mosaic = read_photograph(
         next((tmp_path / "session/frames").glob("target_687.3_0.*")), drawn.plan.sensor
     )
-    corners = find_target(
-        grey_image(mosaic.light, mosaic.pattern),
-        open_target(drawn.plan.target),
-    )
+    corners = find_target(mosaic, open_target(drawn.plan.target))
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1)
     np.testing.assert_allclose(
         sides, 61.3, rtol=0.03

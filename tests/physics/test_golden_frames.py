@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from labkit.calibration.calibrate import Calibration, calibrate, channel_data
-from labkit.finder.find_target import find_target, grey_image
+from labkit.finder.find_target import find_target
 from labkit.photographs.decoding import read_photograph
 from labkit.plan import Plan
 from labkit.session.session import Session
@@ -44,7 +44,7 @@ def calibration(session: Session) -> Calibration:
 def found_in(path: Path, plan_path: Path) -> NDArray[np.float64]:
     plan = Plan.load(plan_path)
     mosaic = read_photograph(path, plan.sensor)
-    return find_target(grey_image(mosaic.counts, mosaic.pattern), open_target(plan.target))
+    return find_target(mosaic, open_target(plan.target))
 
 
 @pytest.mark.parametrize("range_mm", [2000, 2080, 2160])

@@ -20,7 +20,8 @@ from labkit.devices.protocols import Check, ExposureSettings, Picture, Shown
 from labkit.devices.registry import open_devices
 from labkit.drivers.simulated.world import Fault
 from labkit.errors import DataError, DeviceError, InputError, LabkitError, TargetError
-from labkit.finder.find_target import find_target, grey_image
+from labkit.finder.find_target import find_target
+from labkit.finder.picture import grey_image
 from labkit.finder.preview import Look
 from labkit.finder.sharpness import blur_px, edge_px
 from labkit.optics.lens import ThinLens, circle_of_confusion_mm
@@ -242,15 +243,15 @@ def test_blur_is_the_circle_of_confusion_and_edges_rise_over_as_much(
             mosaic = read_photograph(
                 devices.camera.expose(tmp_path / f"{range_mm:g}").path, plan.sensor
             )
-            grey = grey_image(mosaic.light, mosaic.pattern)
             true_px = (
                 float(circle_of_confusion_mm(lens, range_mm, truth.best_focus_mm["G"]))
                 / 4.78e-3
             )
             assert true_px > 4  # well above what lens and pixels do by themselves
-            assert blur_px(grey, target, find_target(grey, target)) == pytest.approx(
+            assert blur_px(mosaic, target, find_target(mosaic, target)) == pytest.approx(
                 true_px, rel=0.33
             )
+            grey = grey_image(mosaic.light, mosaic.pattern)
             edges.append((true_px, edge_px(grey)))
     (_, few), (_, many) = sorted(edges)
     assert few < many

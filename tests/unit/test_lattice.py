@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from labkit.errors import TargetError
-from labkit.finder.find_target import grey_image
 from labkit.finder.lattice import find_tiles
+from labkit.finder.picture import Picture
 from labkit.photographs.decoding import read_photograph
 from labkit.plan import Plan
 from labkit.target import CellTarget
@@ -57,7 +57,7 @@ def test_the_golden_grid_is_found_where_the_truth_has_it(range_mm: int) -> None:
     frame = read_photograph(GOLDEN / "field-open" / f"target_{range_mm}.dng", plan.sensor)
     grid = open_grid(plan.target)
     assert grid is not None
-    found = find_tiles(grey_image(frame.counts, ("RG", "GB")), grid)
+    found = find_tiles(Picture(frame.counts, ("RG", "GB")), grid)
     centres = {
         tuple(tile["tile"]): tile["centre_px"]
         for tile in truth["tiles"]
