@@ -20,7 +20,7 @@ from labkit.drivers.simulated.view import View, cone
 from labkit.drivers.simulated.world import BenchSettings, TrueRoom
 from labkit.types import Floats32
 
-CELL_PX = 4
+ROOM_CELL_PX = 4
 """Side of a place of the room's picture, in pixels of the sensor."""
 
 BACKGROUND_RANGE, FOREGROUND_RANGE = 1.3, 1.04
@@ -35,7 +35,7 @@ STAND_LIGHT = 0.06
 class Room:
     """The room of a bench, drawn at birth.
 
-    picture: light of red, green and blue, (3, rows / CELL_PX, columns / CELL_PX), relative
+    picture: light of red, green and blue, (3, rows / ROOM_CELL_PX, columns / ROOM_CELL_PX), relative
     to the panel's white.
     """
 
@@ -101,7 +101,7 @@ def drawn_room(settings: BenchSettings, rng: np.random.Generator) -> Room | None
     if settings.room is None:
         return None
     sensor = settings.sensor
-    shape = -(-sensor.rows // CELL_PX), -(-sensor.cols // CELL_PX)
+    shape = -(-sensor.rows // ROOM_CELL_PX), -(-sensor.cols // ROOM_CELL_PX)
     behind = _blurred(background(shape, rng), defocus_px(settings, BACKGROUND_RANGE))
     near = _blurred(foreground(shape, rng), defocus_px(settings, FOREGROUND_RANGE))
     light = near.light + (1 - near.cover)[:, :, None] * behind.light
@@ -135,7 +135,7 @@ def mm_per_px(view: View) -> float:
 
 def _blurred(canvas: Canvas, diameter_px: float) -> Canvas:
     """Return a layer through a disc of a diameter in pixels of the sensor, and at least a place of the canvas."""
-    radius = max(diameter_px / CELL_PX, 1.0) / 2
+    radius = max(diameter_px / ROOM_CELL_PX, 1.0) / 2
     around = np.arange(-(n := int(np.ceil(radius))), n + 1)
     disc = np.clip(radius + 0.5 - np.hypot(around[:, None], around), 0, 1)
     disc /= disc.sum()
@@ -151,11 +151,11 @@ def _enlarged(
     plane: Floats32, first: tuple[int, int], step: int, shape: tuple[int, ...]
 ) -> Floats32:
     """Return a plane of the room's picture at every `step`-th pixel of the sensor from `first` on, (rows, columns)."""
-    scale = step / CELL_PX
+    scale = step / ROOM_CELL_PX
     onto = np.array(
         [
-            [scale, 0, (first[1] + 0.5) / CELL_PX - 0.5],
-            [0, scale, (first[0] + 0.5) / CELL_PX - 0.5],
+            [scale, 0, (first[1] + 0.5) / ROOM_CELL_PX - 0.5],
+            [0, scale, (first[0] + 0.5) / ROOM_CELL_PX - 0.5],
         ]
     )
     return np.asarray(
