@@ -13,8 +13,10 @@ from labkit.devices.context import DeviceContext
 from labkit.drivers.simulated import spread
 from labkit.drivers.simulated.address import ordered
 from labkit.drivers.simulated.bench import Bench
+from labkit.drivers.simulated.field import FieldTerms
+from labkit.drivers.simulated.image import patches
 from labkit.drivers.simulated.setup import in_a_room, settings_for, shared_bench
-from labkit.drivers.simulated.world import BenchSettings, TruePose
+from labkit.drivers.simulated.world import BenchSettings, TrueLens, TruePose
 from labkit.errors import PlanError
 from labkit.plan import Plan
 from labkit.types import Counts, Floats
@@ -142,6 +144,19 @@ def test_the_target_is_rendered_as_on_a_sensor_that_just_holds_it(
     # the points that average a sample with an edge lie elsewhere in it; measured: 7.9e-4, RMS 5.4e-5
     assert np.abs(apart).max() < 1.6e-3
     assert np.sqrt(np.mean(apart**2)) < 1.1e-4
+
+
+def test_a_psf_that_changes_over_the_frame_is_that_of_the_targets_place_in_the_frame() -> (
+    None
+):
+    varying = replace(TrueLens(), field_terms=FieldTerms(field_curvature_per_mm=-0.01))
+    made = Bench(replace(settings(), lens=varying, patch_px=64.0))
+    rows, cols = made.settings.fine
+    places = [place for patch in patches(made.view) for place, _ in patch.blends if place]
+    for axis, part in enumerate((rows, cols)):
+        along = [place[axis] for place in places]
+        # from the first pixel's outer edge to the last one's
+        assert (min(along), max(along)) == (part.start - 0.5, part.stop - 0.5)
 
 
 @pytest.mark.parametrize("words", ["sensor=1mp", "sensor=1mp,room=dark"])
