@@ -76,10 +76,12 @@ def test_the_fit_ends_at_the_truth(ended: Ended) -> None:
         true = ended.truth.waves(wavefront.range_mm or 0.0, "G")
         # the truth's waves are of 450 nm, the session's of its only colour
         apart = wavefront.waves - np.array([true[j] for j in (4, 5, 6)]) * 450 / 550
-        print(wavefront.range_mm, apart, wavefront.std, ended.results.headline)
-        assert np.abs(apart).max() < 0.0005
+        # measured: 0.0002, of standard errors of 0.0003
+        assert np.abs(apart).max() < 0.0004
     assert ended.results.focus
-    print(ended.results.focus.best_focus_mm["G"], ended.truth.best_focus_mm["G"])
+    best = ended.results.focus.best_focus_mm["G"]
+    # measured: 0.21, of a standard error of 0.34
+    assert best.value == pytest.approx(ended.truth.best_focus_mm["G"], abs=0.42)
 
 
 @pytest.mark.slow
