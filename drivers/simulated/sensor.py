@@ -24,8 +24,8 @@ class PixelArray:
         sensor = settings.sensor
         self._sensor = sensor
         shape = sensor.rows, sensor.cols
-        # a large sensor's response is kept in half the memory
-        kind = np.float32 if max(shape) > MOST_AT_ONCE else np.float64
+        # a whole frame has no room for double precision
+        kind = np.float32 if settings.room else np.float64
         per_s = np.empty(shape, dtype=kind)
         for rows in strips(sensor.rows):
             drawn = rng.normal(size=per_s[rows].shape)
@@ -38,6 +38,8 @@ class PixelArray:
         for rows in strips(sensor.rows):
             _share_colours(per_s[rows], sensor)
             per_s[rows] *= vignette(settings, rows)
+        if max(shape) > MOST_AT_ONCE:
+            per_s = per_s.astype(np.float32, copy=False)
         self._white_electrons_per_s = per_s
 
     def counts(
