@@ -193,7 +193,7 @@ def run_demo(
     """
     folder = Path(folder)
     refuse_existing(folder)
-    text = DEMO_PLAN.format(address=f"simulated:seed={seed}")
+    text = DEMO_PLAN.format(address=f"simulated:seed={seed},sensor=6mp")
     context = DeviceContext()
     with (
         open_devices(Plan.parse(text, Path()), context=context) as devices,

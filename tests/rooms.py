@@ -72,7 +72,7 @@ def random_room(shape: tuple[int, int], rng: np.random.Generator) -> Singles:
 
 def _part(picture: Singles, shape: tuple[int, int], rng: np.random.Generator) -> Singles:
     """Return a part of a picture, turned by quarters, stretched to a shape."""
-    picture = np.rot90(picture, rng.integers(4))
+    picture = np.rot90(picture, int(rng.integers(4)))
     rows, cols = (max(60, int(n * rng.uniform(0.4, 1.0))) for n in picture.shape)
     top, left = (
         int(rng.integers(0, max(1, n - s)))
@@ -168,7 +168,7 @@ def as_counts(
         frame.clip(0, None) * gains[: frame.shape[0], : frame.shape[1]] * np.float32(full)
     )
     noise = rng.standard_normal(frame.shape, dtype=np.float32) * np.sqrt(0.4 * light + 9)
-    return np.clip(np.rint(black + light + noise), 0, 16383).astype(np.uint16)
+    return np.asarray(np.clip(np.rint(black + light + noise), 0, 16383), np.uint16)
 
 
 def random_poses(

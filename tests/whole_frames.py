@@ -94,7 +94,7 @@ def room_counts(
         )
         light = np.clip(stretched, 0, 1) * np.float32(how.light * (white - black))
     frame = black + light + noise * np.sqrt(GAIN * light + READ_NOISE**2)
-    return np.clip(np.rint(frame), 0, white).astype(np.uint16)
+    return np.asarray(np.clip(np.rint(frame), 0, white), np.uint16)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Parse the address of a simulated bench: seed, lens and faults."""
+"""Parse the address of a simulated bench: seed, sensor, room, lens and faults."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ SEED_WORD = re.compile(r"seed=([0-9]{1,9})")
 FAULT = re.compile(
     r"(?P<device>[a-z]+)\.(?P<kind>[a-z_]+)=(?P<call>[1-9]\d{0,5})(?:x(?P<times>[1-9]\d{0,5}))?"
 )
+SENSOR_WORD = re.compile(r"sensor=([0-9]{1,4}(?:\.[0-9]{1,3})?)mp")
+ROOM_WORD = re.compile(r"room=([a-z]+)")
 LENS_WORD = re.compile(r"lens\.([a-z0-9_]+)=(.+)")
 NOLL_WORD = re.compile(r"noll_([0-9]{1,3})")
 ORDERED_NUMBER = re.compile(r"-?\d{1,6}(?:\.\d{1,12})?")
@@ -44,12 +46,19 @@ OVER_THE_FRAME = {
 }
 """Words for `FieldTerms`, and how many numbers each takes."""
 
+ROOM_LIGHT = {"bright": 1.0, "dark": 0.003}
+"""Light of rooms by their names, relative to a day with a window and a lamp; in the dark a white wall sends 0.1 % of the
+panel's white."""
+
+LEAST_MEGAPIXELS, MOST_MEGAPIXELS = 1.0, 150.0
+
 ORDERED_FAULTS = ", ".join(
     f"{device}.{kind}" for device, kinds in FAULTS.items() for kind in kinds
 )
 
 ALLOWED_ORDERS = (
-    "allowed is seed=N; a lens as in lens.blades=7, lens.blades_turn_deg=10, "
+    "allowed is seed=N; sensor=24mp (a whole frame of 1 to 150 megapixels) with room=bright "
+    "or room=dark; a lens as in lens.blades=7, lens.blades_turn_deg=10, "
     "lens.blade_rounding=0.3, lens.obstruction=0.38, lens.cats_eye=0.3,1.1,45 (shift, radius, "
     "direction), lens.noll_22=0.01, lens.higher_rms=0.03; "
     f"over the frame lens.table=PATH, lens.lateral_colour=R,G,B, lens.patch_px, lens.{', lens.'.join(OVER_THE_FRAME)}; "
@@ -72,6 +81,10 @@ class Orders:
     """Numbers of `FieldTerms`."""
     lateral_colour: Mapping[str, float] = field(default_factory=dict)
     patch_px: float = 0.0
+    megapixels: float | None = None
+    """Of a whole frame; None for a sensor that just holds the target."""
+    room: str = ""
+    """One of `ROOM_LIGHT`; "" for the usual room of a whole frame."""
 
     def made(self, lens: TrueLens) -> TrueLens:
         """Return the lens as ordered; a lens with a table has no random aberration.
@@ -108,6 +121,10 @@ def ordered(address: str) -> Orders:
             if read is None:
                 raise PlanError(f'address "{address}": {shown(word)}: {ALLOWED_ORDERS}')
             orders = read
+        if orders.room and orders.megapixels is None:
+            raise PlanError(
+                f'address "{address}": room={orders.room} needs a whole frame: add sensor=24mp, or leave the room out'
+            )
         orders.made(TrueLens())
     except ValueError as error:
         raise PlanError(f'address "{address}": {error}') from error
@@ -118,6 +135,13 @@ def _read(word: str, orders: Orders) -> Orders | None:
     """Return the orders with another word; None for an unknown word."""
     if found := SEED_WORD.fullmatch(word):
         return replace(orders, seed=int(found[1]))
+    if found := SENSOR_WORD.fullmatch(word):
+        size = float(found[1])
+        if not LEAST_MEGAPIXELS <= size <= MOST_MEGAPIXELS:
+            return None
+        return replace(orders, megapixels=size)
+    if found := ROOM_WORD.fullmatch(word):
+        return replace(orders, room=found[1]) if found[1] in ROOM_LIGHT else None
     if found := LENS_WORD.fullmatch(word):
         if found[1] == "table":
             return _with_field(orders, "table", read_table(found[2]))

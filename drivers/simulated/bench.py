@@ -17,16 +17,15 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from labkit.drivers.simulated.image import MOST_AT_ONCE, colours_of, irradiance, mosaic
+from labkit.drivers.simulated.image import colours_of, irradiance, mosaic
 from labkit.drivers.simulated.modes import drawn_modes
 from labkit.drivers.simulated.parts import Lit
+from labkit.drivers.simulated.room import drawn_room
 from labkit.drivers.simulated.scene import Glass
-from labkit.drivers.simulated.view import Aim, View, per_tangent_mm
+from labkit.drivers.simulated.sensor import PixelArray, strips
+from labkit.drivers.simulated.view import Aim, View
 from labkit.drivers.simulated.world import BenchSettings, Fault, Truth, Visit
 from labkit.types import Floats, Floats32
-
-STRIP_ROWS = 640
-"""Noise and even light of a larger sensor are drawn in strips."""
 
 KEPT_PICTURES = 4
 """White, black and the target at one stop are shown in turn; more than these need not be kept."""
@@ -139,17 +138,19 @@ class Bench:
         sensor = self.settings.sensor
         rng = self._generator("frame", name)
         picture = None if self.covered else self._picture()
+        cut = self.settings.fine
+        fine = self._pixels.counts(picture, cut, exposure_s, iso, rng)
+        if self._room is None:
+            return fine
         counts = np.empty((sensor.rows, sensor.cols), dtype=np.uint16)
-        for top in range(0, sensor.rows, STRIP_ROWS):
-            rows = slice(top, top + STRIP_ROWS)
-            per_s = self._hot_electrons_per_s[rows].astype(np.float64)
-            if picture is not None:
-                per_s += self._white_electrons_per_s[rows] * picture[rows]
-            electrons = rng.poisson(per_s * exposure_s) + rng.normal(
-                0, sensor.read_noise_electrons, per_s.shape
+        glass = self._glass(None)
+        every = slice(0, sensor.cols)
+        for rows in strips(sensor.rows):
+            light = None if self.covered else self._room.light(self.view, glass, rows)
+            counts[rows] = self._pixels.rough_counts(
+                light, (rows, every), exposure_s, iso, rng
             )
-            exact = sensor.black_level + electrons * sensor.counts_per_electron * iso / 100
-            counts[rows] = np.clip(np.rint(exact), 0, sensor.white_level)
+        counts[cut] = fine
         return counts
 
     @property
@@ -202,7 +203,6 @@ class Bench:
     def _draw(self) -> None:
         """Draw the constant properties of the bench."""
         lens = self.settings.lens
-        sensor = self.settings.sensor
         pose = self.settings.pose
         rng = self._generator("fixed")
         self._modes = drawn_modes(lens, rng, self._generator("higher modes"))
@@ -212,6 +212,9 @@ class Bench:
         )
         roll_deg = rng.choice((-1, 1)) * rng.uniform(0.5, 1) * pose.roll_deg
         right_px, down_px = rng.uniform(-pose.offset_px, pose.offset_px, 2)
+        if room := self.settings.room:
+            down_px += room.target_px[0]
+            right_px += room.target_px[1]
         self._aim = Aim(tilt_deg, roll_deg, (right_px, down_px))
         self._waves = (
             rng.uniform(0.3, 1.5, (5, 2)) * rng.choice((-1, 1), (5, 2)),
@@ -221,46 +224,13 @@ class Bench:
         y_mm = (np.arange(float(high)) - (high - 1) / 2) * self.settings.panel.pitch_mm
         x_mm = (np.arange(float(wide)) - (wide - 1) / 2) * self.settings.panel.pitch_mm
         self._evenness = self._unevenness(x_mm[None, :], y_mm[:, None]).astype(np.float32)
-        shape = (sensor.rows, sensor.cols)
-        response = 1 + sensor.response_std * rng.normal(size=shape)
-        bad = rng.choice(
-            response.size, sensor.hot_pixels + sensor.dead_pixels, replace=False
-        )
-        hot, dead = np.split(bad, [sensor.hot_pixels])
-        response.flat[dead] *= rng.uniform(0, 0.4, dead.size)
-        self._hot_electrons_per_s = np.zeros(shape)
-        self._hot_electrons_per_s.flat[hot] = 10 ** rng.uniform(4.3, 5.6, hot.size)
-        self._white_electrons_per_s = (
-            sensor.white_electrons_per_s * response * self._colour_map() * self._vignette()
-        )
-        if max(shape) > MOST_AT_ONCE:
-            self._white_electrons_per_s = self._white_electrons_per_s.astype(np.float32)
-            self._hot_electrons_per_s = self._hot_electrons_per_s.astype(np.float32)
+        self._pixels = PixelArray(self.settings, rng)
+        self._room = drawn_room(self.settings, self._generator("room"))
 
     def _generator(self, *purpose: str) -> np.random.Generator:
         return np.random.default_rng(
             [self.settings.seed, zlib.crc32("/".join(purpose).encode())]
         )
-
-    def _colour_map(self) -> Floats:
-        colours = colours_of(self.settings)
-        shares = np.ones(colours.shape)
-        for colour, share in self.settings.sensor.colour_response.items():
-            shares[colours == colour] = share
-        return shares
-
-    def _vignette(self) -> Floats:
-        """Return the light at each pixel, falling with the square of the distance from a point near the middle."""
-        rows, cols = self.settings.sensor.rows, self.settings.sensor.cols
-        y = np.linspace(-1, 1, rows)[:, None] - 0.06
-        x = np.linspace(-1, 1, cols)[None, :] + 0.04
-        lens = self.settings.lens
-        pitch_mm = self.settings.sensor.pitch_um * 1e-3
-        even = 1 - lens.vignetting * (x * x + y * y) / 2
-        of_field = lens.field_terms.light(
-            (rows, cols), pitch_mm, lens.pupil, per_tangent_mm(lens)
-        )
-        return np.asarray(even * of_field)
 
     def _unevenness(self, x_mm: Floats, y_mm: Floats) -> Floats:
         """Return the relative brightness of the panel's places, about 1: five slow waves across the glass."""
@@ -292,7 +262,7 @@ class Bench:
         )
 
     def _picture(self) -> Floats32:
-        """Return (rows, cols) radiance in each pixel through its own colour, white = 1; the latest few are
+        """Return (rows, cols) radiance in each fine pixel through its own colour, white = 1; the latest few are
         kept.
         """
         key = (
@@ -333,10 +303,11 @@ class Bench:
         """Return whether the glass is one grey and reaches beyond the camera's view, halo included."""
         if self._codes.min() != self._codes.max():
             return False
-        rows, cols = self.settings.sensor.rows, self.settings.sensor.cols
         rim = self.view.reach_um() / self.settings.sensor.pitch_um + 1
-        x, y = np.array([-rim, cols + rim])[None, :], np.array([-rim, rows + rim])[:, None]
-        right, down = self.view.on_panel(x, y)
+        y, x = (
+            np.array([part.start - rim, part.stop + rim]) for part in self.settings.fine
+        )
+        right, down = self.view.on_panel(x[None, :], y[:, None])
         high, wide = (
             n * self.settings.panel.pitch_mm / 2 for n in self.settings.panel.pixels
         )
@@ -344,12 +315,13 @@ class Bench:
 
     def _uniform(self) -> Floats32:
         """Return the image of a panel in one grey: only its unevenness, which blur does not change."""
-        rows, cols = self.settings.sensor.rows, self.settings.sensor.cols
+        rows, cols = self.settings.fine
         level = self._radiance(self._codes[:1, :1])[0, 0]
         view = self.view
-        seen = np.empty((rows, cols), dtype=np.float32)
-        for top in range(0, rows, STRIP_ROWS):
-            down = np.arange(float(top), float(min(top + STRIP_ROWS, rows)))[:, None]
-            x_mm, y_mm = view.on_panel(np.arange(float(cols))[None, :], down)
-            seen[top : top + STRIP_ROWS] = level * self._unevenness(x_mm, y_mm)
+        seen = np.empty(self.settings.fine_shape, dtype=np.float32)
+        x = np.arange(float(cols.start), float(cols.stop))[None, :]
+        for some in strips(seen.shape[0]):
+            y = rows.start + np.arange(float(some.start), float(some.stop))[:, None]
+            x_mm, y_mm = view.on_panel(x, y)
+            seen[some] = level * self._unevenness(x_mm, y_mm)
         return seen

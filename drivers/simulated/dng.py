@@ -1,31 +1,32 @@
 """Write raw photographs: DNG for a colour mosaic, TIFF for a mono sensor. rawpy opens the DNG like any
 camera's.
 
-Tags of the DNG specification 1.4; shutter time and ISO are in an Exif directory, where
-decoders expect them.
+Tags of TIFF 6.0 and of the DNG specification 1.4; the DNG's counts are compressed without
+loss, and shutter time and ISO are in an Exif directory, as cameras write them.
 """
 
 from __future__ import annotations
 
-import io
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
-import tifffile
 from numpy.typing import NDArray
 
+from labkit.drivers.simulated.lossless_jpeg import compress_counts
 from labkit.files import write_atomically
 from labkit.version import __version__
 
 CFA_COLOURS = {"R": 0, "G": 1, "B": 2}
 CFA_PHOTOMETRIC = 32803
-EXIF_TAG = 34665
-KEPT_FOR_EXIF = EXIF_TAG - 1
-"""Placeholder for the Exif entry, which tifffile cannot write: it is changed to Exif afterwards."""
+BLACK_IS_ZERO = 1
+PLAIN_COUNTS, LOSSLESS_JPEG = 1, 7
+COUNTS_AT = 8
+"""Place of the counts in the file, after its header."""
 
 BYTE = 1
 ASCII = 2
@@ -33,6 +34,11 @@ SHORT_TYPE = 3
 LONG = 4
 RATIONAL = 5
 SRATIONAL = 10
+FORM = {BYTE: "B", ASCII: "B", SHORT_TYPE: "H", LONG: "I", RATIONAL: "2I", SRATIONAL: "2i"}
+"""Forms of a value, for `struct`, by types of TIFF."""
+
+Entry = tuple[int, int, Sequence[int]]
+"""A tag, the type of its values, and these in the order of the file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,54 +77,92 @@ def write_raw(path: Path, counts: NDArray[np.uint16], tags: RawTags) -> None:
         raise ValueError(
             f"raw counts are a table of uint16, not {counts.dtype} of shape {counts.shape}"
         )
-    buffer = io.BytesIO()
     mono = tags.pattern == "mono"
-    with tifffile.TiffWriter(buffer, byteorder="<") as writer:
-        writer.write(
-            counts,
-            photometric="minisblack" if mono else CFA_PHOTOMETRIC,
-            contiguous=False,
-            metadata=None,
-            software=f"labkit {__version__}",
-            datetime=tags.taken,
-            extratags=_camera_tags(tags) + ([] if mono else _mosaic_tags(tags)),
-        )
-    _append_exif(buffer, tags)
-    write_atomically(path, buffer.getvalue())
+    data = counts.astype("<u2").tobytes() if mono else _compressed(counts, tags)
+    exif_at = COUNTS_AT + len(data) + len(data) % 2
+    exif = _directory(_exposure_entries(tags), exif_at)
+    entries = [
+        *_image_entries(counts.shape, len(data), mono),
+        *_camera_entries(tags),
+        *([] if mono else _mosaic_entries(tags)),
+        (34665, LONG, (exif_at,)),
+    ]
+    main_at = exif_at + len(exif)
+    header = struct.pack("<2sHI", b"II", 42, main_at)
+    parts = [header, data, bytes(len(data) % 2), exif, _directory(entries, main_at)]
+    write_atomically(path, b"".join(parts))
 
 
-def _append_exif(file: io.BytesIO, tags: RawTags) -> None:
-    """Append an Exif directory to a little-endian TIFF, and write its offset into the entry reserved for it."""
-    entries = []
-    at = file.seek(0, io.SEEK_END)
-    at += at % 2
-    seconds = Fraction(tags.exposure_s or 0).limit_denominator(1_000_000)
-    if tags.exposure_s is not None:
-        entries.append(struct.pack("<HHII", 33434, RATIONAL, 1, at))
-    if tags.iso is not None:
-        entries.append(struct.pack("<HHIHH", 34855, SHORT_TYPE, 1, tags.iso, 0))
-    file.seek(at)
-    file.write(struct.pack("<II", seconds.numerator, seconds.denominator))
-    file.write(struct.pack("<H", len(entries)) + b"".join(entries) + bytes(4))
-    file.seek(0)
-    with tifffile.TiffFile(file) as tiff:
-        kept = tiff.pages.first.tags[KEPT_FOR_EXIF].offset
-        file.seek(kept)
-        file.write(struct.pack("<HHII", EXIF_TAG, LONG, 1, at + 8))
+def _compressed(counts: NDArray[np.uint16], tags: RawTags) -> bytes:
+    """Return the counts as lossless JPEG of as many bits as counts and white level need."""
+    bits = max(int(counts.max()), tags.white_level).bit_length()
+    return compress_counts(counts, bits, 1 if counts.shape[1] % 2 else 2)
 
 
-def _camera_tags(tags: RawTags) -> list[tuple[int, int, int, object, bool]]:
-    """Make, model, orientation and the place of the Exif directory as (code, type, count, value, once)."""
+def _directory(entries: Sequence[Entry], at: int) -> bytes:
+    """Return a TIFF directory, the file's last, that begins at byte `at`, and the values that its entries point to."""
+    beyond = at + 2 + 12 * len(entries) + 4
+    fields = b""
+    values = b""
+    for code, kind, numbers in sorted(entries):
+        form = FORM[kind]
+        packed = struct.pack(f"<{len(numbers) * form[-1]}", *numbers)
+        count = len(numbers) // (2 if form[0] == "2" else 1)
+        if len(packed) > 4:
+            place = struct.pack("<I", beyond + len(values))
+            values += packed + bytes(len(packed) % 2)
+        else:
+            place = packed.ljust(4, b"\0")
+        fields += struct.pack("<HHI", code, kind, count) + place
+    return struct.pack("<H", len(entries)) + fields + bytes(4) + values
+
+
+def _text(words: str) -> Sequence[int]:
+    return words.encode("ascii", "replace") + b"\0"
+
+
+def _image_entries(shape: tuple[int, ...], size: int, mono: bool) -> list[Entry]:
+    """Return entries of the table of counts, which is one strip of `size` bytes."""
+    rows, cols = shape
     return [
-        (271, ASCII, 0, tags.make, True),
-        (272, ASCII, 0, tags.model, True),
-        (274, SHORT_TYPE, 1, tags.orientation, True),
-        (KEPT_FOR_EXIF, LONG, 1, 0, True),
+        (254, LONG, (0,)),
+        (256, LONG, (cols,)),
+        (257, LONG, (rows,)),
+        (258, SHORT_TYPE, (16,)),
+        (259, SHORT_TYPE, (PLAIN_COUNTS if mono else LOSSLESS_JPEG,)),
+        (262, SHORT_TYPE, (BLACK_IS_ZERO if mono else CFA_PHOTOMETRIC,)),
+        (273, LONG, (COUNTS_AT,)),
+        (277, SHORT_TYPE, (1,)),
+        (278, LONG, (rows,)),
+        (279, LONG, (size,)),
     ]
 
 
-def _mosaic_tags(tags: RawTags) -> list[tuple[int, int, int, object, bool]]:
-    """Return the tags of a DNG: colour cell, levels, and a colour matrix (the identity: colours mean nothing
+def _camera_entries(tags: RawTags) -> list[Entry]:
+    """Return make, model, orientation, software, and the date if stated."""
+    taken = [] if tags.taken is None else [f"{tags.taken:%Y:%m:%d %H:%M:%S}"]
+    return [
+        (271, ASCII, _text(tags.make)),
+        (272, ASCII, _text(tags.model)),
+        (274, SHORT_TYPE, (tags.orientation,)),
+        (305, ASCII, _text(f"labkit {__version__}")),
+        *((306, ASCII, _text(date)) for date in taken),
+    ]
+
+
+def _exposure_entries(tags: RawTags) -> list[Entry]:
+    """Return shutter time and ISO, where stated."""
+    entries = list[Entry]()
+    if tags.exposure_s is not None:
+        seconds = Fraction(tags.exposure_s).limit_denominator(1_000_000)
+        entries.append((33434, RATIONAL, (seconds.numerator, seconds.denominator)))
+    if tags.iso is not None:
+        entries.append((34855, SHORT_TYPE, (tags.iso,)))
+    return entries
+
+
+def _mosaic_entries(tags: RawTags) -> list[Entry]:
+    """Return entries of a DNG: colour cell, levels, and a colour matrix (the identity: colours mean nothing
     here).
     """
     black = (
@@ -126,15 +170,15 @@ def _mosaic_tags(tags: RawTags) -> list[tuple[int, int, int, object, bool]]:
     )
     unit = tuple(number for i in range(9) for number in (int(i % 4 == 0), 1))
     return [
-        (33421, SHORT_TYPE, 2, (2, 2), True),
-        (33422, BYTE, 4, bytes(CFA_COLOURS[colour] for colour in tags.pattern), True),
-        (50706, BYTE, 4, bytes((1, 4, 0, 0)), True),
-        (50707, BYTE, 4, bytes((1, 1, 0, 0)), True),
-        (50708, ASCII, 0, f"{tags.make} {tags.model}", True),
-        (50713, SHORT_TYPE, 2, (2, 2), True),
-        (50714, LONG, 4, black, True),
-        (50717, LONG, 1, tags.white_level, True),
-        (50721, SRATIONAL, 9, unit, True),
-        (50728, RATIONAL, 3, (1, 1) * 3, True),
-        (50778, SHORT_TYPE, 1, 21, True),
+        (33421, SHORT_TYPE, (2, 2)),
+        (33422, BYTE, tuple(CFA_COLOURS[colour] for colour in tags.pattern)),
+        (50706, BYTE, (1, 4, 0, 0)),
+        (50707, BYTE, (1, 1, 0, 0)),
+        (50708, ASCII, _text(f"{tags.make} {tags.model}")),
+        (50713, SHORT_TYPE, (2, 2)),
+        (50714, LONG, black),
+        (50717, LONG, (tags.white_level,)),
+        (50721, SRATIONAL, unit),
+        (50728, RATIONAL, (1, 1) * 3),
+        (50778, SHORT_TYPE, (21,)),
     ]

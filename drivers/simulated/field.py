@@ -149,18 +149,22 @@ class FieldTerms:
         pitch_mm: float,
         pupil: Pupil,
         per_tangent_mm: float,
+        some: slice = slice(None),
     ) -> Floats:
-        """Return the light on a sensor's (rows, columns), relative to the axis without a cat's eye."""
+        """Return the light on some rows of a sensor of (rows, columns), relative to the axis without a cat's
+        eye.
+        """
         down, right = (
             (np.arange(count) - (count - 1) / 2) * pitch_mm - at
             for count, at in zip(shape_px, self.axis_mm, strict=True)
         )
-        height = np.hypot(down[:, None], right)
+        farthest = np.hypot(abs(down).max(), abs(right).max())
+        height = np.hypot(down[some, None], right)
         light = np.ones_like(height)
         if self.cos4:
             light += self.cos4 * ((1 + (height / per_tangent_mm) ** 2) ** -2 - 1)
         if self.cats_eye_per_mm is not None:
-            radii = np.linspace(0, height.max(), LIGHT_RADII)
+            radii = np.linspace(0, farthest, LIGHT_RADII)
             at = [(self.axis_mm[0] + radius, self.axis_mm[1]) for radius in radii]
             shares = [self.pupil(place, pupil).clear_share for place in at]
             light *= CubicSpline(radii, shares)(height)

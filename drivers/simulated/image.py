@@ -45,15 +45,14 @@ Look = tuple[float, Lit | None]
 
 
 def colours_of(settings: BenchSettings) -> NDArray[np.str_]:
-    """Return (rows, cols) name of each pixel's colour."""
+    """Return (rows, cols) name of the colour of each pixel that is rendered finely."""
     sensor = settings.sensor
+    rows, cols = settings.fine_shape
     if sensor.pattern == "mono":
         first = next(iter(settings.lens.wavelength_nm))
-        return np.full((sensor.rows, sensor.cols), first)
+        return np.full((rows, cols), first)
     cell = np.array(list(sensor.pattern)).reshape(2, 2)
-    return np.tile(cell, (sensor.rows // 2 + 1, sensor.cols // 2 + 1))[
-        : sensor.rows, : sensor.cols
-    ]
+    return np.tile(cell, (rows // 2 + 1, cols // 2 + 1))[:rows, :cols]
 
 
 def mosaic(view: View, shown: Shown, colours: NDArray[np.str_]) -> Floats32:
@@ -81,10 +80,8 @@ def irradiance(
 ) -> Floats32:
     """Return the (rows, cols) blurred image in one colour at every pixel, white = 1; noiseless."""
     if view.settings.varies:
-        sensor = view.settings.sensor
-        return _in_patches(
-            view, shown, np.full((sensor.rows, sensor.cols), colour), samples, halo_um
-        )
+        every = np.full(view.settings.fine_shape, colour)
+        return _in_patches(view, shown, every, samples, halo_um)
     grid = fine_grid(view, samples, halo_um)
     return _photograph(view, colour, _scene(view, shown, _look(view, colour), grid))
 
@@ -100,17 +97,19 @@ def fine_grid(
         settings.samples_per_pixel, int(np.ceil(1.02 * pitch_um / nyquist_um))
     )
     reach = int(np.ceil(view.reach_um(halo_um) / pitch_um)) * per_pixel
-    return FineGrid(settings.sensor.rows, settings.sensor.cols, per_pixel, reach)
+    rows, cols = settings.fine
+    return FineGrid(*settings.fine_shape, per_pixel, reach, rows.start, cols.start)
 
 
 def patches(view: View) -> Iterator[Patch]:
-    """Yield the patches of a view: one PSF for all, one a tile, or PSFs that blend."""
+    """Yield the patches of a view's fine part: one PSF for all, one a tile, or PSFs that blend."""
     settings = view.settings
-    size = settings.sensor.rows, settings.sensor.cols
     if not settings.varies:
-        return one_psf(*size)
+        return one_psf(*settings.fine_shape)
     if settings.patch_px:
-        return smooth(*size, settings.patch_px)
+        rows, cols = settings.fine
+        found = smooth(*settings.fine_shape, settings.patch_px)
+        return (patch.seen_from(rows.start, cols.start) for patch in found)
     places = {
         number: view.tile_place((tile[0], tile[1]))
         for number, tile in enumerate(np.ndindex(*settings.grid.shape))
@@ -119,15 +118,15 @@ def patches(view: View) -> Iterator[Patch]:
 
 
 def _tile_of_pixel(view: View) -> NDArray[np.int16]:
-    """Return (rows, cols) number of the tile that each pixel sees, or of the nearest."""
-    sensor = view.settings.sensor
-    label = np.empty((sensor.rows, sensor.cols), dtype=np.int16)
-    x = np.arange(float(sensor.cols))[None, :]
-    for top in range(0, sensor.rows, MOST_AT_ONCE):
-        rows = slice(top, min(top + MOST_AT_ONCE, sensor.rows))
-        y = np.arange(float(rows.start), float(rows.stop))[:, None]
+    """Return (rows, cols) number of the tile that each fine pixel sees, or of the nearest."""
+    rows, cols = view.settings.fine
+    label = np.empty(view.settings.fine_shape, dtype=np.int16)
+    x = np.arange(float(cols.start), float(cols.stop))[None, :]
+    for top in range(0, label.shape[0], MOST_AT_ONCE):
+        some = slice(top, min(top + MOST_AT_ONCE, label.shape[0]))
+        y = rows.start + np.arange(float(some.start), float(some.stop))[:, None]
         right, down = view.on_panel(x, y)
-        label[rows] = view.settings.grid.nearest(
+        label[some] = view.settings.grid.nearest(
             right - view.shown_mm[1], down - view.shown_mm[0]
         )
     return label
@@ -200,6 +199,7 @@ def _in_patches(
 def _kept(view: View, colours: int) -> int:
     """Return how many PSFs are kept: those of a row of patches, since the next row needs its last knots again."""
     settings = view.settings
-    patches = settings.sensor.cols / settings.patch_px + 1 if settings.patch_px else 1
+    cols = settings.fine_shape[1]
+    patches = cols / settings.patch_px + 1 if settings.patch_px else 1
     knots = KNOTS * (int(patches) * (KNOTS - 1) + 1)
     return max(KEPT_SPREADS, knots * colours)

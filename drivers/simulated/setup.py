@@ -11,7 +11,7 @@ import numpy as np
 
 from labkit.devices.context import DeviceContext
 from labkit.devices.shared import Lease
-from labkit.drivers.simulated.address import ordered
+from labkit.drivers.simulated.address import ROOM_LIGHT, Orders, ordered
 from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.image import MOST_AT_ONCE
 from labkit.drivers.simulated.view import refuse_wild
@@ -21,6 +21,7 @@ from labkit.drivers.simulated.world import (
     TrueLens,
     TruePanel,
     TrueRail,
+    TrueRoom,
     TrueSensor,
 )
 from labkit.errors import PlanError
@@ -36,6 +37,24 @@ FEWEST_SAMPLES, NEAR_HALO_UM = 4, 200.0
 
 S_PER_MEGAPIXEL = 25.0
 """Approximate time to render a colour mosaic in tiles on one core."""
+
+ASPECT = 1.5
+"""Columns of a whole frame over its rows."""
+
+FRAME_STEP_PX = 8
+"""Sides of sensors are multiples of this."""
+
+FINE_SHARE, FINE_PX = 0.10, 24
+"""Of the target's size, and pixels, that are rendered finely on each side of a target in a room: nearly twice what a fit
+cuts out around the target."""
+
+OFF_MIDDLE = 0.1
+"""Largest distance of the panel from the frame's middle, down and right, relative to the frame's sides."""
+
+BEZEL_MM = 12.0
+"""Width of the panel's black bezel at least."""
+
+USUAL_ROOM = "bright"
 
 WHITE_COUNTS = 10_350.0
 """Counts of the white panel at the plan's exposure, two thirds of a 14-bit sensor: the lamp is set accordingly."""
@@ -122,19 +141,61 @@ def settings_for(plan: Plan, seed: int) -> BenchSettings:
 def _bench(address: str, plan: Plan, warn: Callable[[str], None]) -> Bench:
     orders = ordered(address)
     settings = settings_for(plan, orders.seed)
+    if orders.megapixels is not None:
+        settings = in_a_room(settings, plan, orders)
     lens = orders.made(settings.lens)
     try:
         settings = replace(settings, lens=lens, patch_px=orders.patch_px)
         refuse_wild(settings)
     except ValueError as error:
         raise PlanError(f'address "{address}": {error}') from error
-    rows, cols = settings.sensor.rows, settings.sensor.cols
+    rows, cols = settings.fine_shape
     if max(rows, cols) > MOST_AT_ONCE:
         wait = in_words(rows * cols / 1e6 * S_PER_MEGAPIXEL)
         warn(
             f"the simulated camera has {rows} × {cols} pixels, which hold the target: each new picture takes about {wait}"
         )
     return Bench(settings, orders.faults)
+
+
+def in_a_room(settings: BenchSettings, plan: Plan, orders: Orders) -> BenchSettings:
+    """Return settings for a plan with a sensor of 3:2 and as many pixels as ordered, around the one that just holds
+    the target.
+
+    Orders must have `megapixels`.
+    """
+    assert orders.megapixels is not None
+    rng = np.random.default_rng([settings.seed, zlib.crc32(b"place in the room")])
+    usual = settings.sensor
+    rows, cols = (
+        FRAME_STEP_PX * round(np.sqrt(orders.megapixels * 1e6 * share) / FRAME_STEP_PX)
+        for share in (1 / ASPECT, ASPECT)
+    )
+    per_pixel = rows * cols / (usual.rows * usual.cols)
+    sensor = replace(
+        usual,
+        rows=rows,
+        cols=cols,
+        hot_pixels=round(usual.hot_pixels * per_pixel),
+        dead_pixels=round(usual.dead_pixels * per_pixel),
+    )
+    margin = 2 * math.ceil(FINE_SHARE * max(usual.rows, usual.cols) + FINE_PX)
+    fine = min(usual.rows + margin, rows), min(usual.cols + margin, cols)
+    # the fine pixels stay within the frame
+    down, right = (
+        rng.uniform(-1, 1) * min(OFF_MIDDLE * count, (count - part) / 2)
+        for count, part in zip((rows, cols), fine, strict=True)
+    )
+    lens = settings.lens
+    farthest_mm = max(plan.rail.ranges_mm) if plan.rail else lens.focused_mm
+    per_px_mm = sensor.pitch_um * 1e-3 * (farthest_mm / lens.focal_length_mm - 1)
+    bezel = tuple(
+        max(count * settings.panel.pitch_mm + 2 * BEZEL_MM, (part + FINE_PX) * per_px_mm)
+        for count, part in zip(settings.panel.pixels, fine, strict=True)
+    )
+    light = ROOM_LIGHT[orders.room or USUAL_ROOM]
+    room = TrueRoom(light, (down, right), fine, (bezel[0], bezel[1]))
+    return replace(settings, sensor=sensor, room=room)
 
 
 def _grid(target: TargetSpec, glass: PanelInfo) -> TrueGrid:

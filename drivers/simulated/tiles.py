@@ -6,7 +6,7 @@ Each part has its own rim of scene; the far light is laid over the whole.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -47,6 +47,14 @@ class Patch:
     rows: slice
     cols: slice
     blends: tuple[tuple[Place | None, Floats32 | None], ...] = ((None, None),)
+
+    def seen_from(self, top: int, left: int) -> Patch:
+        """Return the patch with places counted from a frame's corner, for a part of it that begins at (top, left)."""
+        blends = tuple(
+            (place and (place[0] + top, place[1] + left), share)
+            for place, share in self.blends
+        )
+        return replace(self, blends=blends)
 
 
 def tiles(rows: int, cols: int, side: int) -> Iterator[tuple[slice, slice]]:
@@ -148,7 +156,8 @@ def mosaic_in_patches(
     for patch in patches:
         rows, cols = patch.rows, patch.cols
         size = rows.stop - rows.start, cols.stop - cols.start
-        here = FineGrid(*size, grid.samples, grid.reach, rows.start, cols.start)
+        corner = grid.top + rows.start, grid.left + cols.start
+        here = FineGrid(*size, grid.samples, grid.reach, *corner)
         for colour in halos:
             scene = draw(colour, here)
             mine = colours[rows, cols] == colour

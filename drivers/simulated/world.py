@@ -256,6 +256,22 @@ class TrueGrid:
 
 
 @dataclass(frozen=True, slots=True)
+class TrueRoom:
+    """A room around the panel, for a sensor much larger than the target.
+
+    light: relative to an ordinary bright room; target_px: place of the panel's centre, down
+    and right of the frame's; fine_px: rows and columns around it that are rendered finely,
+    even numbers; bezel_mm: height and width of the panel with its black bezel, which holds
+    what these pixels see.
+    """
+
+    light: float
+    target_px: tuple[float, float]
+    fine_px: tuple[int, int]
+    bezel_mm: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
 class BenchSettings:
     """All chosen settings of the simulated world; the seed draws the rest."""
 
@@ -272,6 +288,8 @@ class BenchSettings:
     grid: TrueGrid = field(default_factory=TrueGrid)
     patch_px: float = 0.0
     """Side of a patch over which PSFs are interpolated; 0: one PSF for each tile of the grid."""
+    room: TrueRoom | None = None
+    """Without a room the sensor sees the panel only."""
 
     def __post_init__(self) -> None:
         if self.patch_px and not self.patch_px >= LEAST_PATCH_PX:
@@ -283,6 +301,33 @@ class BenchSettings:
     def varies(self) -> bool:
         """Return whether the PSF changes over the frame."""
         return self.lens.field_terms.varies or self.grid.shape != (1, 1)
+
+    @property
+    def fine(self) -> tuple[slice, slice]:
+        """Rows and columns that are rendered finely: around the target in a room, else all."""
+        shape = self.sensor.rows, self.sensor.cols
+        if self.room is None:
+            return slice(0, shape[0]), slice(0, shape[1])
+        rows, cols = (
+            _around(count / 2 + aside, part, count)
+            for count, aside, part in zip(
+                shape, self.room.target_px, self.room.fine_px, strict=True
+            )
+        )
+        return rows, cols
+
+    @property
+    def fine_shape(self) -> tuple[int, int]:
+        """Numbers of rows and columns that are rendered finely."""
+        rows, cols = self.fine
+        return rows.stop - rows.start, cols.stop - cols.start
+
+
+def _around(middle: float, part: int, count: int) -> slice:
+    """Return `part` of `count` pixels about a place, from an even one: the filter array's cell begins there."""
+    first = 2 * round((middle - part / 2) / 2)
+    first = min(max(first, 0), count - part)
+    return slice(first, first + part)
 
 
 FAULTS = {

@@ -37,14 +37,15 @@ from labkit.errors import (
     PlanError,
     RawError,
 )
+from labkit.finder.cut import cut_around
 from labkit.panel.picture import PanelPicture
 from labkit.photographs.decoding import read_photograph
 from labkit.photographs.exposure import exposure_problem
-from labkit.photographs.photograph import Photograph
+from labkit.photographs.photograph import WHOLE, Photograph
 from labkit.plan import Plan
 from labkit.session.session import EXPOSING_FOLDER, Session, begin
 from labkit.target import open_target
-from labkit.types import Progress, no_progress
+from labkit.types import Floats, Progress, no_progress
 
 Ask = Callable[[str], object]
 """Asks a person to do something, and returns when it is done."""
@@ -161,6 +162,7 @@ class _Capture:
             session.plan, devices, log, session.folder / EXPOSING_FOLDER
         )
         self._first: Photograph | None = None
+        self._corners_px: list[Floats] = []  # of the targets that the preflight found
 
     def run(self, check: bool, warn: Callable[[str], None] | None) -> None:
         todo = missing(self._session)
@@ -233,6 +235,7 @@ class _Capture:
             by_hand=findings.by_hand,
             measured=findings.measured,
         )
+        self._corners_px = findings.corners_px
         findings.raise_problems()
 
     def _take_darks(self, todo: list[Shot]) -> None:
@@ -295,7 +298,10 @@ class _Capture:
             shot.kind == "flat" and shot.exposure_s is not None
         )  # dim and full ones too
         names = [channel.name for channel in plan.channel]
-        problem = None if ladder else exposure_problem(mosaic, shot.kind, names)
+        place = WHOLE
+        if self._corners_px:
+            place = cut_around(self._corners_px, mosaic.shape)
+        problem = None if ladder else exposure_problem(mosaic, shot.kind, names, place)
         first = self._first = self._first or mosaic
         if _likeness(mosaic) != _likeness(first):
             raise RawError(

@@ -22,6 +22,7 @@ from labkit.acquisition.patient import PatientDevices
 from labkit.devices.protocols import Check, Checkable, Picture
 from labkit.errors import DataError, DeviceError, InputError, LabkitError, TargetError
 from labkit.files import write_atomically, writing
+from labkit.finder.cut import cut_around
 from labkit.finder.find_target import margin_px
 from labkit.finder.lattice import find_targets
 from labkit.finder.preview import Look, jpeg
@@ -36,6 +37,7 @@ from labkit.optics.wavefront import FARTHEST_WAVES
 from labkit.panel.picture import PanelPicture
 from labkit.photographs.decoding import read_photograph
 from labkit.photographs.exposure import exposure_problem
+from labkit.photographs.photograph import WHOLE
 from labkit.plan import Plan
 from labkit.target import open_target
 from labkit.types import Floats
@@ -58,6 +60,8 @@ class Findings:
 
     problems: list[LabkitError] = field(default_factory=list)
     dark: bool = False
+    corners_px: list[Floats] = field(default_factory=list)
+    """(4, 2) of each target found."""
     by_hand: list[str] = field(default_factory=list)
     measured: dict[str, Any] = field(default_factory=dict)
 
@@ -140,28 +144,39 @@ class _Round:
 
     def round(self, picture: PanelPicture, range_mm: float) -> float | None:
         """Photograph white and target at a range. Return the target's blur circle in pixels; None without target."""
-        if (white := self._photograph(range_mm, "white")) is not None:
+        white = self._photograph(range_mm, "white")
+        shown = self._photograph(range_mm, picture.grey)
+        found = None if shown is None else self._search(shown.look, range_mm)
+        corners = None if isinstance(found, TargetError) else found
+        if white is not None:
             problem = (
-                self._check_white(white, range_mm)
+                self._check_white(white, range_mm, corners)
                 if "exposure" not in self.findings.measured
                 else ""
             )
             self._keep(replace(white.look, note=problem), white)
-        if (shown := self._photograph(range_mm, picture.grey)) is None:
+        if shown is None:
             return None
         before = len(self.findings.problems)
-        look = self._located(shown.look, range_mm, shown.seen)
-        blur = (
-            None if look.corners_px is None else self._blur_px(look, range_mm, shown.seen)
-        )
+        if isinstance(found, TargetError):
+            self.findings.problems.append(
+                TargetError(f"at {range_mm:g} mm: {found}, see {shown.seen}")
+            )
+        look = replace(shown.look, corners_px=corners)
+        blur = None
+        if corners is not None:
+            self.findings.corners_px += list(corners)
+            blur = self._blur_px(look, range_mm, shown.seen)
         note = "; ".join(map(str, self.findings.problems[before:])).partition(", see ")[0]
         self._keep(replace(look, note=note, edge_px=sharpest_edge_px(look.mosaic)), shown)
         return blur
 
-    def _check_white(self, white: _Kept, range_mm: float) -> str:
-        problem = exposure_problem(
-            white.look.mosaic, "flat", (channel.name for channel in self.plan.channel)
-        )
+    def _check_white(self, white: _Kept, range_mm: float, corners: Floats | None) -> str:
+        """Record how white is exposed, where the target is found (n, 4, 2) or in the whole frame."""
+        mosaic = white.look.mosaic
+        names = (channel.name for channel in self.plan.channel)
+        place = WHOLE if corners is None else cut_around(list(corners), mosaic.shape)
+        problem = exposure_problem(mosaic, "flat", names, place)
         self.findings.measured["exposure"] = problem or "right"
         if problem:
             hint = (
@@ -171,24 +186,17 @@ class _Round:
             self.findings.problems.append(DataError(f"{words}, see {white.seen}"))
         return problem or ""
 
-    def _located(self, look: Look, range_mm: float, seen: Path) -> Look:
-        """Return the look with the target's corners, if the target is found."""
+    def _search(self, look: Look, range_mm: float) -> Floats | TargetError:
+        """Return the corners of all targets (n, 4, 2), or why none is found."""
         plan = self.plan
-        given = plan.target.corners_px
+        if given := plan.target.corners_px:
+            return np.array([given])
         lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
         scale = float(ground_sample_mm(lens, range_mm, plan.sensor.pixel_pitch_um))
         try:
-            return replace(
-                look,
-                corners_px=np.array([given])
-                if given
-                else find_targets(look.mosaic, plan.target, mm_per_pixel=scale),
-            )
+            return find_targets(look.mosaic, plan.target, mm_per_pixel=scale)
         except TargetError as error:
-            self.findings.problems.append(
-                TargetError(f"at {range_mm:g} mm: {error}, see {seen}")
-            )
-            return look
+            return error
 
     def _blur_px(self, look: Look, range_mm: float, seen: Path) -> float:
         corners, shape = look.corners_px, look.mosaic.shape

@@ -214,22 +214,25 @@ class _Bank:
         """Return the mask of a carpet in a window, and the carpet, blurred, of mean 0 and unit norm within it."""
         window = window or self._window
         finer = UPRIGHT_SIDE / side
-        middle = (window - 1) / 2
-        to_fine = cv2.getRotationMatrix2D((middle, middle), degrees, finer)
-        to_fine[:, 2] += (len(self._sharp) - 1) / 2 - middle
+        middle = (len(self._sharp) - 1) / 2
+        to_fine = _similarity(window, degrees, finer, (middle, middle))
         how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         smooth = cv2.GaussianBlur(self._sharp, (0, 0), 0.4 * finer)
-        drawn = cv2.warpAffine(smooth, to_fine, (window, window), flags=how)
+        drawn = cv2.warpAffine(smooth, to_fine, (window, window), flags=how).astype(
+            np.float32
+        )
         covered = _square(len(self._sharp), self._share * UPRIGHT_SIDE)
         mask = cv2.warpAffine(covered, to_fine, (window, window), flags=how) > 0.5
-        return mask, [_unit(cv2.GaussianBlur(drawn, (0, 0), blur), mask) for blur in blurs]
+        return mask, [_unit(drawn, blur, mask) for blur in blurs]
 
     def compared(
         self, image: Singles, rows: NDArray[np.int_], cols: NDArray[np.int_]
     ) -> tuple[Floats, Floats, Floats]:
         """Return, of places in an image, the likeness, side in samples and direction of the likeliest carpet."""
         border = self._window // 2
-        padded = cv2.copyMakeBorder(image, *[border] * 4, cv2.BORDER_REPLICATE)
+        padded = cv2.copyMakeBorder(
+            image, border, border, border, border, cv2.BORDER_REPLICATE
+        )
         windows = np.lib.stride_tricks.sliding_window_view(padded, [self._window] * 2)
         patches = windows[rows, cols].reshape(len(rows), -1)
         patches = patches - patches.mean(axis=1, keepdims=True)
@@ -256,7 +259,7 @@ class _Bank:
     ) -> Likely | None:
         """Return a carpet near a place, aligned; None where no carpet can be aligned."""
         mask, blurred, template = self._fine
-        from_window = _window_map(picture.shape, row, col, side, degrees)
+        from_window = _similarity(FINE_WINDOW, -degrees, side / FINE_SIDE, (row, col))
         window = picture.warped(from_window, (FINE_WINDOW, FINE_WINDOW))
         rim = (FINE_WINDOW - len(template)) // 2
         start = np.array([[1, 0, rim], [0, 1, rim]], np.float32)
@@ -273,7 +276,9 @@ class _Bank:
         seen = cv2.warpAffine(
             window, moved, window.shape, flags=how, borderMode=cv2.BORDER_REPLICATE
         )
-        likeness = max(correlation(seen, one, mask) for one in blurred)
+        likeness = max(
+            correlation(np.asarray(seen, np.float32), one, mask) for one in blurred
+        )
         corners = (FINE_WINDOW - 1) / 2 + FINE_SIDE * OWN_CORNERS[:, ::-1]
         for by in (moved, from_window):
             corners = corners @ by[:, :2].T + by[:, 2]
@@ -298,19 +303,20 @@ def _square(size: int, side: float) -> Singles:
     return np.asarray(np.outer(inside, inside), np.float32)
 
 
-def _unit(image: Singles, mask: Bools) -> Singles:
-    about = np.where(mask, image - image[mask].mean(), 0.0)
+def _unit(image: Singles, blur: float, mask: Bools) -> Singles:
+    blurred = cv2.GaussianBlur(image, (0, 0), blur)
+    about = np.where(mask, blurred - blurred[mask].mean(), 0.0)
     return np.asarray(about / np.linalg.norm(about), np.float32)
 
 
-def _window_map(
-    shape: tuple[int, int], row: float, col: float, side: float, degrees: float
+def _similarity(
+    window: int, degrees: float, scale: float, middle: tuple[float, float]
 ) -> Floats:
-    """Return the (2, 3) map of (x, y) in the window of an aligned carpet to pixels."""
-    middle = (FINE_WINDOW - 1) / 2
-    by = cv2.getRotationMatrix2D((middle, middle), -degrees, side / FINE_SIDE)
-    by[:, 2] += np.array([col, row]) - middle
-    return np.asarray(by, np.float64)
+    """Return the map (2, 3) of (x, y) in a square window that turns, stretches, and carries its middle to a (row, column)."""
+    own = (window - 1) / 2
+    turned = cv2.getRotationMatrix2D((own, own), degrees, scale)
+    shift = np.array([[0, 0, middle[1] - own], [0, 0, middle[0] - own]])
+    return np.asarray(turned + shift, np.float64)
 
 
 def _distinct(places: Floats, most: int) -> Floats:

@@ -85,7 +85,7 @@ class Picture:
     def binning(self, factor: int) -> int:
         """Return the number of pixels along which to bin for about `factor`: whole cells of the filter array, or 1."""
         most = min(self.shape) // 2
-        return max(1, min(factor, most) // self._cell * self._cell)
+        return int(max(1, min(factor, most) // self._cell * self._cell))
 
     def part(self, low: ArrayLike, high: ArrayLike, factor: int) -> Singles:
         """Return means over factor × factor pixels from (row, column) `low` to before `high`.

@@ -65,10 +65,10 @@ def _places(
     """Yield the likeliest place of each template in a copy of the photograph in which the target has COARSE_SIDE samples."""
     scale = COARSE_SIDE / side_px
     small = cv2.GaussianBlur(picture.scaled(scale), (0, 0), BLUR_PX)
-    small = np.asarray(small / max(float(np.ptp(small)), 1e-9), np.float32)
+    relative = np.asarray(small / max(float(np.ptp(small)), 1e-9), np.float32)
     for template, corners in templates:
         if template.shape[0] <= small.shape[0] and template.shape[1] <= small.shape[1]:
-            likeness = _likeness(small, template)
+            likeness = _likeness(relative, template)
             _, score, _, (col, row) = cv2.minMaxLoc(likeness)
             yield Likely((corners + (row, col) + 0.5) / scale - 0.5, float(score))
 

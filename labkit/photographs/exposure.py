@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import scipy.fft
 
-from labkit.photographs.photograph import Cut, Photograph
+from labkit.photographs.photograph import WHOLE, Cut, Photograph
 from labkit.types import Counts, Floats, Floats32, FrameKind
 
 SATURATED_SHARE = 0.2
@@ -54,12 +54,17 @@ def difference(photograph: Photograph, first: Photograph) -> str | None:
 
 
 def exposure_problem(
-    photograph: Photograph, kind: FrameKind, channels: Iterable[str]
+    photograph: Photograph, kind: FrameKind, channels: Iterable[str], place: Cut = WHOLE
 ) -> str | None:
-    """Return why a frame of a kind cannot be used, or None. Raises RawError for a channel that it lacks."""
+    """Return why a frame of a kind cannot be used, or None. Raises RawError for a channel that it lacks.
+
+    place: rows and columns with the target, where they are known: a window beside it may be
+    overexposed, and a room bright where the target is dark.
+    """
     for name in channels:
-        for plane in photograph.planes(name):
-            if problem := _plane_problem(photograph, kind, plane):
+        part = photograph.part(name, place)
+        for plane in part.planes(name):
+            if problem := _plane_problem(part, kind, plane):
                 mono = photograph.cfa == "mono"
                 return problem if mono else f"{problem}, in channel {name}"
     return None

@@ -9,7 +9,10 @@ import pytest
 import rawpy
 import tifffile
 
+from labkit.drivers.simulated import lossless_jpeg
 from labkit.drivers.simulated.dng import RawTags, write_raw
+from labkit.drivers.simulated.lossless_jpeg import code_lengths, compress_counts
+from labkit.types import Counts
 
 
 def some_counts(
@@ -83,3 +86,68 @@ def test_a_sensor_without_colours_gets_a_plain_tiff(tmp_path: Path) -> None:
 def test_tags_that_no_raw_has_are_refused(tags: dict[str, object]) -> None:
     with pytest.raises(ValueError, match=r"(pattern|orientation) is"):
         RawTags(**tags)  # type: ignore[arg-type]
+
+
+def drawn(kind: str, shape: tuple[int, int], full_scale: int) -> Counts:
+    """Counts that a predictor finds hard or easy."""
+    rng = np.random.default_rng(3)
+    places = np.add.outer(7 * np.arange(shape[0]), np.arange(shape[1]))
+    pictures = {
+        "noise": rng.integers(0, full_scale + 1, shape),
+        "few": rng.poisson(3, shape),
+        "even": np.full(shape, full_scale // 3),
+        "ramp": places % (full_scale + 1),
+        "extremes": full_scale * (places // 2 % 2),
+        # steps of half of 2^16 and next to it, up and down
+        "half": np.array([0, 32768, 0, 32767, 65535])[places % 5] % (full_scale + 1),
+    }
+    return np.asarray(pictures[kind], dtype=np.uint16)
+
+
+@pytest.mark.parametrize("shape", [(48, 64), (31, 40), (30, 41), (1, 2), (2, 1), (1, 1)])
+@pytest.mark.parametrize("kind", ["noise", "few", "even", "ramp", "extremes", "half"])
+@pytest.mark.parametrize("bits", [12, 14, 16])
+def test_libraw_decompresses_the_identical_counts(
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    shape: tuple[int, int],
+    kind: str,
+    bits: int,
+) -> None:
+    # several strips, whose codes are joined within bytes
+    monkeypatch.setattr(lossless_jpeg, "COUNTS_AT_ONCE", 500)
+    # LibRaw takes a raw of fewer than 22 pixels a side for a thumbnail
+    counts = np.tile(drawn(kind, shape, (1 << bits) - 1), (1 + 24 // shape[0], 1))
+    counts = np.tile(counts, (1, 1 + 24 // shape[1]))
+    write_raw(tmp_path / "a.dng", counts, RawTags(white_level=(1 << bits) - 1))
+    with tifffile.TiffFile(tmp_path / "a.dng") as tiff:
+        assert tiff.pages.first.compression == 7
+    with rawpy.imread(str(tmp_path / "a.dng")) as raw:
+        np.testing.assert_array_equal(raw.raw_image, counts)
+
+
+def test_even_counts_take_little_room_and_noise_as_much_as_its_bits() -> None:
+    even = compress_counts(np.full((400, 400), 900, np.uint16), 14)
+    # a bit for each count, and the tables
+    assert len(even) < 400 * 400 / 8 + 100
+    rng = np.random.default_rng(1)
+    noisy = (4000 + 40 * rng.standard_normal((400, 400))).astype(np.uint16)
+    # differences of a Gaussian of sigma 40 have an entropy of log2(40 sqrt(4 pi e)) = 7.87 bits
+    assert 7.87 < 8 * len(compress_counts(noisy, 14)) / noisy.size < 1.03 * 7.87
+
+
+@pytest.mark.parametrize("growth", [1, 2, 1.62, 10])
+def test_codes_have_sixteen_bits_at_most_and_leave_one_code_over(growth: float) -> None:
+    """Kraft's inequality; weights that grow like Fibonacci's have the longest codes."""
+    occurrences = np.array([growth**n for n in range(17)]).astype(np.int64)
+    lengths = code_lengths(occurrences)
+    assert 1 <= lengths.min() <= lengths.max() <= 16
+    assert np.sum(0.5**lengths) < 1
+    assert np.all(np.diff(lengths) <= 0) or growth == 1
+
+
+def test_counts_beyond_the_stated_bits_are_refused() -> None:
+    with pytest.raises(ValueError, match="counts up to 16384 in 14 bits"):
+        compress_counts(np.full((4, 4), 16384, np.uint16), 14)
+    with pytest.raises(ValueError, match="4 × 5 counts with 2 colours in a row"):
+        compress_counts(np.zeros((4, 5), np.uint16), 14, 2)
