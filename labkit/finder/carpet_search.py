@@ -49,8 +49,8 @@ COARSE_BLURS = (0.7, 1.1)
 EVEN = 0.01
 """Deviation of what is compared, relative to the whole window's, below which it is taken for even."""
 
-INSIDE, WITH_SURROUND = 0.94, 1.1
-"""Part of a carpet's side that is compared, where its surround is unknown and where it is known."""
+INSIDE, WITH_EDGE = 0.94, 1.0
+"""Part of a carpet's side that is compared, where its surround is unknown and where it is known: a black rim may be narrow."""
 
 BATCHES = (100, 300)
 """Likeliest places that are aligned: the first, and more if no carpet is clear among them."""
@@ -191,7 +191,7 @@ class _Bank:
 
     def __init__(self, target: Target) -> None:
         self._sharp = _upright(target)
-        self._share = INSIDE if target.surround is None else WITH_SURROUND
+        self._share = INSIDE if target.surround is None else WITH_EDGE
         reach = COARSE_SIDE * max(SIZES) * self._share / np.sqrt(2)
         self._window = 2 * int(np.ceil(reach)) + 1
         poses = [(size, degrees) for size in SIZES for degrees in DIRECTIONS_DEG]

@@ -52,6 +52,10 @@ PARENT_BLUR = 0.01
 PARENT_SIDE = 243
 """Pixels across a carpet that the target may be a part of."""
 
+CLEAR_RIM, CLUTTER = 0.04, 0.15
+"""Width around the target, in its sides, of what belongs to the target or its blur; and difference from the stated surround, of
+the target's own range, beyond which what is farther out is something else, such as a bright wall beside a black rim."""
+
 REACH = 0.3
 """Width of the surroundings in which a target may move as it is registered, in sides."""
 
@@ -111,10 +115,15 @@ class _Template:
     sharp: Singles
     part: tuple[slice, slice]
     corners: Floats
+    surround: float
 
     @property
     def shape(self) -> tuple[int, int]:
         return self.sharp[self.part].shape[0], self.sharp[self.part].shape[1]
+
+    def filled(self, picture: Singles) -> Singles:
+        """Return a picture with the surround where it shows something else."""
+        return np.nan_to_num(picture, nan=self.surround)
 
     def blurred(self, sigma: float) -> Singles:
         return _blur(self.sharp, sigma)[self.part]
@@ -130,6 +139,7 @@ def register(picture: Picture, target: Target, corners: Floats) -> tuple[Floats,
     agreement = Agreement(0.0, ())
     for side, lights in REGISTRATION_PASSES:
         image, first, factor = neighbourhood(picture, corners, side)
+        image = _without_clutter(image, first, target.surround)
         template = _render(target, mean_side(first))
         at = first
         sigma = blur * mean_side(at)
@@ -165,6 +175,17 @@ def parents(
             hidden = at[0] + (corners - large[0]) / factor
             pair = _compared(image, template, at, PARENT_BLUR * mean_side(at), hidden)
             yield large, correlation(*pair)
+
+
+def _without_clutter(image: Singles, corners: Floats, surround: float | None) -> Singles:
+    """Return an image, 0 to 1, with NaN around a quadrilateral where it is neither the target's nor the stated surround's."""
+    if surround is None:
+        return image
+    rim = mapped(homography(OWN_CORNERS, corners), (1 + 2 * CLEAR_RIM) * OWN_CORNERS)
+    smooth = cv2.blur(image, (3, 3))
+    odd = (_covered(rim, image.shape) == 0) & (np.abs(smooth - surround) > CLUTTER)
+    around = cv2.dilate(odd.astype(np.uint8), np.ones((3, 3)))
+    return np.where(around > 0, np.float32(np.nan), image)
 
 
 def light_range(picture: Picture, corners: Floats) -> float:
@@ -205,10 +226,15 @@ def neighbourhood(
     low = np.maximum(np.minimum(low, picture.whole_cells(shape - 2 * factor)), 0)
     high = np.minimum(np.maximum(high, low + 2 * factor), shape)
     image = picture.part(low, high, factor)
-    top, left = ((inner[0] - low) / factor).astype(int)
-    bottom, right = np.ceil((inner[1] - low) / factor).astype(int) + 1
-    near = normalised(image, image[top:bottom, left:right])
-    return near, (corners - low + 0.5) / factor - 0.5, factor
+    at = (corners - low + 0.5) / factor - 0.5
+    return normalised(image, image[_covered(at, image.shape) > 0]), at, factor
+
+
+def _covered(corners: Floats, shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    """Return an image that is 1 within a quadrilateral."""
+    inside = np.zeros(shape, np.uint8)
+    cv2.fillConvexPoly(inside, np.rint(corners[:, ::-1]).astype(np.int32), 1)
+    return inside
 
 
 def _render(target: Target, side_px: float) -> _Template:
@@ -226,9 +252,8 @@ def _render(target: Target, side_px: float) -> _Template:
     bottom = rim - cut + rows - 0.5
     right = rim - cut + cols - 0.5
     corners = np.array([[low, low], [low, right], [bottom, right], [bottom, low]])
-    return _Template(
-        sharp, (slice(cut, sharp.shape[0] - cut), slice(cut, sharp.shape[1] - cut)), corners
-    )
+    part = (slice(cut, sharp.shape[0] - cut), slice(cut, sharp.shape[1] - cut))
+    return _Template(sharp, part, corners, target.surround or 0.0)
 
 
 def homography(source: Floats, destination: Floats) -> Floats:
@@ -262,7 +287,7 @@ def _ecc(
         everywhere = np.ones(picture.shape, np.uint8)
         _, aligned = cv2.findTransformECC(
             template.blurred(sigma),
-            picture,
+            template.filled(picture),
             start,
             cv2.MOTION_HOMOGRAPHY,
             criteria,
@@ -283,12 +308,14 @@ def _aligned(
     image_from_template = homography(template.corners, corners)
     size = template.shape[::-1]
     how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    in_frame = (
-        cv2.warpPerspective(np.ones_like(picture), image_from_template, size, flags=how)
-        > 0.99
-    )
+    shown = np.isfinite(picture).astype(np.float32)
+    in_frame = cv2.warpPerspective(shown, image_from_template, size, flags=how) > 0.99
     warped = cv2.warpPerspective(
-        picture, image_from_template, size, flags=how, borderMode=cv2.BORDER_REPLICATE
+        template.filled(picture),
+        image_from_template,
+        size,
+        flags=how,
+        borderMode=cv2.BORDER_REPLICATE,
     )
     return _blur(np.asarray(warped, dtype=np.float32), LIGHT_BLUR), in_frame
 
@@ -341,10 +368,7 @@ def _compared(
     warped, in_frame = _aligned(picture, template, corners)
     if hidden is not None:
         at = mapped(homography(corners, template.corners), hidden)
-        covered = cv2.fillConvexPoly(
-            np.zeros(in_frame.shape, np.uint8), np.rint(at[:, ::-1]).astype(np.int32), 1
-        )
-        in_frame &= covered == 0
+        in_frame &= _covered(at, in_frame.shape) == 0
     return warped, template.blurred(np.hypot(sigma, LIGHT_BLUR)), in_frame
 
 
