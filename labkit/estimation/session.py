@@ -208,7 +208,7 @@ class _Loop:
         """
         if selection is None:
             waves = first_of(self.found).waves
-            return {k: self._guess(modes=(waves,)) for k in left}
+            return {k: self._guess(self._beside(k), (waves,)) for k in left}
         predicted, covariance = selection.lens.predictions
         modes, at = len(self._noll), selection.lens.model.defocus
         guesses = dict[int, Guesses]()
@@ -230,12 +230,16 @@ class _Loop:
         stds = {k: stds[k] for k in clearest(self.observations, defocus)}
         terms = len(field_terms(selection.lens.model.field_order))
         for k in best_predicted(self.observations, self.found, stds, terms):
-            beside = nearest_fitted(self.observations, self.found, k)
-            known = () if beside is None else (self.chosen(beside).waves,)
+            known = self._beside(k)
             colour = in_other_colour(self.observations, self._fits, k)
             likely = colour.waves if colour else predicted[self.rows[k], :modes]
             guesses[k] = self._guess(starts=known, modes=known or (likely,))
         return guesses
+
+    def _beside(self, k: int) -> tuple[Floats, ...]:
+        """Return the wavefront of the nearest fitted tile; none without tiles."""
+        nearest = nearest_fitted(self.observations, self.found, k)
+        return () if nearest is None else (self.chosen(nearest).waves,)
 
     def _badly_predicted(self, selection: Selection) -> dict[int, Guesses]:
         """Return refits from the prediction of all others: of outliers, and of members with unexplained residuals.
