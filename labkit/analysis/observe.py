@@ -14,7 +14,7 @@ from labkit.analysis.target_tiles import (
     middle_part,
     target_parts,
 )
-from labkit.analysis.tile_registration import register_part
+from labkit.analysis.tile_registration import one_colour, register_part
 from labkit.calibration.calibrate import (
     Calibration,
     ChannelData,
@@ -135,12 +135,14 @@ def observe(
     known |= places
     observations: list[Observation] = []
     findings = [*again, *calibration.findings, *at_places]
+    sights = list[Sight]()
     together = [one for group in groups for one in of_one_place(group, places)]
     parts, in_parts = _parts(together, plan, target, known)
     findings += in_parts
     for done, group in enumerate(together):
         progress(done, len(together), "finding the target")
         shots = [_shot(frame, plan, target, known.get(frame.file)) for frame in group]
+        sights += _sights(shots)
         regions, left_out = _regions(shots, plan, target, parts)
         findings += left_out
         order = min(map(frames.index, group))
@@ -151,15 +153,17 @@ def observe(
                 )
                 observations += [replace(of, order=order) for of in made]
                 findings += assumed
-    sights = [
-        Sight(o.measured_range_mm, pose.of_target(target.size_mm).corners_px())
-        for o in observations
-        if o.measured_range_mm is not None
-        for pose in o.poses
-    ]
     refuse_contradictions(sights, plan, target.size_mm)
     findings += _surround_findings(plan, target, observations)
     return observations, each_once(findings)
+
+
+def _sights(shots: Sequence[_Shot]) -> list[Sight]:
+    """Return the targets in photographs of a range; none without a range."""
+    range_mm = _measured([shot.frame for shot in shots])
+    if range_mm is None:
+        return []
+    return [Sight(range_mm, at) for shot in shots for at in shot.corners_px.values()]
 
 
 def _surround_findings(
@@ -299,7 +303,7 @@ def _registered(region: _Region, shots: Sequence[_Shot], target: Target) -> _Reg
     if region.part is None:
         return region
     corners = [
-        register_part(shot.mosaic, target, region.part, one)
+        register_part(*one_colour(shot.mosaic), target, region.part, one)
         for shot, one in zip(shots, region.corners_px, strict=True)
     ]
     return replace(region, corners_px=corners)

@@ -206,13 +206,27 @@ class _Span:
         )
 
 
+def _count_along(tiles: float) -> tuple[int, float]:
+    """Return the number of tiles along a length, in sides of a tile, and their side, pixels.
+
+    The number grows as the square root of the length, so that time and the gaps between the tiles grow together.
+    """
+    count = int(np.clip(round((2 * tiles) ** 0.5), 1, MOST_TILES))
+    return count, TILE_PX * min(1.0, tiles / count)
+
+
+def tiles_along(side_px: float) -> tuple[int, float]:
+    """Return the number of tiles along a side of a target, and their side, pixels; (1, side_px) if it is fitted whole."""
+    if side_px <= LARGEST_WHOLE_PX:
+        return 1, side_px
+    return _count_along(side_px / TILE_PX)
+
+
 def _spans(ends: Interval, tile: float) -> list[_Span]:
     """Divide a side of the target. tile : side of a tile, halves of the target's side."""
     low, high = ends
-    length = high - low
-    # as the square root of the length, so that time and gaps between the tiles grow together
-    count = int(np.clip(round((2 * length / tile) ** 0.5), 1, MOST_TILES))
-    side = min(tile, length / count)
+    count, side = _count_along((high - low) / tile)
+    side *= tile / TILE_PX
     starts = (
         np.linspace(low, high - side, count) if count > 1 else [(low + high - side) / 2]
     )

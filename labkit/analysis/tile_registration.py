@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from labkit.analysis.target_tiles import TargetPart
 from labkit.imaging.warp import Pose
 from labkit.photographs.photograph import Photograph
+from labkit.plan.sensor import IN_COLOURS
 from labkit.target import Target
-from labkit.types import Floats, Floats32
+from labkit.types import Counts, Floats, Floats32
 
 Ints = NDArray[np.intp]
 
@@ -31,8 +32,15 @@ LEAST_CORRELATION = 0.3
 ECC_STEPS, ECC_CHANGE = 60, 1e-6
 
 
+def one_colour(photograph: Photograph) -> tuple[Counts, int]:
+    """Return the counts of a mosaic, and its period; green, and 1, of a picture in colours."""
+    if photograph.pattern == IN_COLOURS:
+        photograph = photograph.part("G")
+    return photograph.counts, len(photograph.pattern)
+
+
 def register_part(
-    photograph: Photograph, target: Target, part: TargetPart, corners: Floats
+    counts: Floats | Counts, period: int, target: Target, part: TargetPart, corners: Floats
 ) -> Floats:
     """Return the target's corners (4, 2), extrapolated from where the part is found.
 
@@ -41,7 +49,8 @@ def register_part(
 
     Parameters
     ----------
-    photograph : decoded
+    counts : (rows, columns) of a photograph
+    period : pixels after which its colours repeat; 1 of one colour
     target, part : the target, and the part of it
     corners : (4, 2) of the target as it was found as a whole
     """
@@ -49,13 +58,16 @@ def register_part(
     inside = part.corners(pose)
     reach = int(np.ceil(max(REACH_PX, REACH * np.ptp(corners, axis=0).max())))
     low = np.maximum(np.ceil(inside.min(axis=0)).astype(int), 0)
-    high = np.minimum(np.floor(inside.max(axis=0)).astype(int), photograph.shape[:2])
+    high = np.minimum(np.floor(inside.max(axis=0)).astype(int), counts.shape)
     if np.any(high - low < 2 * REACH_PX):
         return corners
     drawn = _drawn(target, pose, low, high)
     first = np.maximum(low - reach, 0)
-    last = np.minimum(high + reach, photograph.shape[:2])
-    grey, offset = _grey(photograph, first, last)
+    last = np.minimum(high + reach, counts.shape)
+    seen = counts[first[0] : last[0], first[1] : last[1]].astype(np.float32)
+    # means over the period of the colours: of an even one, their middle is half a pixel above and to the left
+    grey = np.asarray(cv2.blur(seen, (period, period)), np.float32)
+    offset = 0.5 * (period % 2 == 0)
     match = cv2.matchTemplate(grey, drawn, cv2.TM_CCOEFF_NORMED)
     peak = np.unravel_index(int(np.argmax(match)), match.shape)
     if match[peak] < LEAST_CORRELATION:
@@ -63,12 +75,13 @@ def register_part(
     moved = np.array(peak) + first - low - offset
     affine = np.array([[1.0, 0, peak[1]], [0, 1.0, peak[0]]], np.float32)
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, ECC_STEPS, ECC_CHANGE)
+    everywhere = np.ones(grey.shape, np.uint8)
     try:
         _, affine = cv2.findTransformECC(
-            drawn, grey, affine, cv2.MOTION_AFFINE, criteria, None, 3
+            drawn, grey, affine, cv2.MOTION_AFFINE, criteria, everywhere, 3
         )
     except cv2.error:  # it did not converge
-        return corners + moved
+        return np.asarray(corners + moved)
     (across, down, right), (mixed, along, below) = np.asarray(affine, np.float64)
     by = np.array([[along, mixed], [down, across]])
     at = (corners - low) @ by.T + [below, right] + first - offset
@@ -89,18 +102,3 @@ def _drawn(target: Target, pose: Pose, low: Ints, high: Ints) -> Floats32:
     return np.asarray(
         cv2.GaussianBlur(pixels.astype(np.float32), (0, 0), DRAWN_BLUR_PX), np.float32
     )
-
-
-def _grey(photograph: Photograph, first: Ints, last: Ints) -> tuple[Floats32, float]:
-    """Return means over the period of the colours from first to last, and by how much their pixels' places are too large."""
-    high, wide = len(photograph.pattern), len(photograph.pattern[0])
-    across = photograph.counts.shape[1] // photograph.shape[1]
-    (top, left), (bottom, right) = first, last
-    counts = photograph.counts[top:bottom, across * left : across * right]
-    if across > 1:  # a picture in colours, side by side
-        means = counts.reshape(bottom - top, right - left, across).mean(axis=2)
-        return means.astype(np.float32), 0.0
-    period = max(high, wide)
-    offset = 0.5 if period % 2 == 0 else 0.0
-    grey = cv2.blur(np.asarray(counts, np.float32), (period, period))
-    return np.asarray(grey, np.float32), offset
