@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from labkit.analysis.target_places import Places, of_one_place, places_in_frame
 from labkit.analysis.target_tiles import (
     TargetPart,
     cut_finding,
+    may_be_large,
     middle_part,
     target_parts,
 )
@@ -74,7 +76,7 @@ class _Shot:
 
 @dataclass(frozen=True)
 class _Region:
-    """What is fitted of the photographs: its tile, the target's corners (4, 2) in each, the cut, and the part of a target."""
+    """A part of the photographs that is fitted: its tile, the target's corners (4, 2) in each, the cut, the target's part."""
 
     tile: Tile | None
     corners_px: list[Floats]
@@ -118,10 +120,9 @@ def observe(
     """
     photographs, again = distinct(session.frames)
     frames, channels = selected(photographs, plan, range_mm, channel)
+    # a panel that is impossible is refused before photographs are looked at
     for name in channels:
-        as_shown(
-            plan, target, name
-        )  # a panel that is impossible is refused before photographs are looked at
+        as_shown(plan, target, name)
     groups = by_range(sorted(frames, key=lambda frame: frame.file)).values()
     progress(0, len(groups), "calibrating by flats and darks")
     calibration = calibrate(photographs, plan)
@@ -129,29 +130,31 @@ def observe(
     clear_mm = None if grid is None else grid.clear_mm
     known = dict[str, Corners]()
     if run is not None:
-        every = [frame for group in groups for frame in group]
-        known = locate_all(every, plan, target, run, progress)
+        known = locate_all([*chain(*groups)], plan, target, run, progress)
     places, at_places = _places(groups, plan, target, known, progress)
     known |= places
     observations: list[Observation] = []
-    findings = [*again, *calibration.findings, *at_places]
     sights = list[Sight]()
     together = [one for group in groups for one in of_one_place(group, places)]
-    parts, in_parts = _parts(together, plan, target, known)
-    findings += in_parts
+    early, parts, in_parts = _parts(together, plan, target, known)
+    findings = [*again, *calibration.findings, *at_places, *in_parts]
     for done, group in enumerate(together):
         progress(done, len(together), "finding the target")
-        shots = [_shot(frame, plan, target, known.get(frame.file)) for frame in group]
+        shots = [
+            early.pop(frame.file, None) or _shot(frame, plan, target, known.get(frame.file))
+            for frame in group
+        ]
         sights += _sights(shots)
         regions, left_out = _regions(shots, plan, target, parts)
         findings += left_out
-        order = min(map(frames.index, group))
         for name in channels:
             for region in regions:
                 made, assumed = _of_region(
                     calibration, target, shots, name, region, clear_mm
                 )
-                observations += [replace(of, order=order) for of in made]
+                observations += [
+                    replace(of, order=min(map(frames.index, group))) for of in made
+                ]
                 findings += assumed
     refuse_contradictions(sights, plan, target.size_mm)
     findings += _surround_findings(plan, target, observations)
@@ -242,21 +245,21 @@ def _parts(
     groups: Sequence[Sequence[Frame]],
     plan: Plan,
     target: Target,
-    known: dict[str, Corners],
-) -> tuple[list[TargetPart], list[Finding]]:
-    """Return the parts of a single target that are fitted at all ranges, and a finding about them.
+    known: Mapping[str, Corners],
+) -> tuple[dict[str, _Shot], list[TargetPart], list[Finding]]:
+    """Return the parts of a single target that are fitted at all ranges, none if it is fitted whole, and a finding about them.
 
-    They are those of the nearest range, where the target is largest. Corners found there are added to the known ones.
+    They are those of the nearest range, where the target is largest; its photographs are decoded for them, and returned.
     """
-    if open_grid(plan.target) is not None:
-        return [], []
     group = min(groups, key=lambda group: group[0].range_mm or 0.0)
+    single = open_grid(plan.target) is None
+    if not (single and may_be_large(plan, group[0].range_mm)):
+        return {}, [], []
     shots = [_shot(frame, plan, target, known.get(frame.file)) for frame in group]
-    known |= {shot.frame.file: shot.corners_px for shot in shots}
-    corners = [corners for shot in shots for corners in shot.corners_px.values()]
+    corners = [at for shot in shots for at in shot.corners_px.values()]
     parts = target_parts(corners, plan.field, target, shots[0].mosaic.shape)
-    in_parts = cut_finding(parts, corners[0], plan.field)
-    return parts, in_parts
+    early = {shot.frame.file: shot for shot in shots}
+    return early, parts, cut_finding(parts, corners[0], plan.field)
 
 
 def _regions(

@@ -26,7 +26,7 @@ LARGEST_WHOLE_PX = 360.0
 TILE_PX = 200.0
 """Side of the tiles of a larger target: time grows with their area, and errors of a wavefront fall with the side alone."""
 
-MOST_TILES = 5
+MOST_TILES_ALONG = 5
 """Along each side of the target: 25 places show an expansion of the fourth order over the field, with 15 terms."""
 
 LEAST_DETAIL = 0.1
@@ -110,7 +110,7 @@ def target_parts(
 
 def may_be_large(plan: Plan, range_mm: float | None) -> bool:
     """Return whether a single target may be fitted in tiles, by what is known before it is found."""
-    if plan.field.cuts or plan.target.of_many:
+    if plan.field.cuts or plan.field.part_px or plan.target.of_many:
         return True
     if plan.target.corners_px is not None:
         side = float(np.ptp(plan.target.corners_px, axis=0).max())
@@ -211,7 +211,7 @@ def _count_along(tiles: float) -> tuple[int, float]:
 
     The number grows as the square root of the length, so that time and the gaps between the tiles grow together.
     """
-    count = int(np.clip(round((2 * tiles) ** 0.5), 1, MOST_TILES))
+    count = int(np.clip(round((2 * tiles) ** 0.5), 1, MOST_TILES_ALONG))
     return count, TILE_PX * min(1.0, tiles / count)
 
 

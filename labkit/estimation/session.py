@@ -321,9 +321,8 @@ class _Loop:
         wanted = dict[int, tuple[Optics, Guesses]]()
         for k, guess in guesses.items():
             optics = self._optics(k, selection)
-            if guess.modes and (
-                colour := in_other_colour(self.observations, self._fits, k)
-            ):
+            colour = in_other_colour(self.observations, self._fits, k)
+            if guess.modes and colour:
                 optics = optics.with_rim_of(colour.optics)
             if selection is not None and not (optics.rim.is_round or guess.held):
                 likened = beside(self.observations, self.rows, selection, k, optics)
@@ -462,11 +461,8 @@ class _Loop:
     ) -> Estimate:
         """Return the estimate with the parts that its model lacks."""
         with_missing = tuple(full.get(k) for k in sorted(self.found))
-        tried = tuple(
-            self.camera.tried
-            if adopted
-            else [replace(one, adopted=False) for one in self.camera.tried]
-        )
+        every = self.camera.tried
+        tried = tuple(replace(one, adopted=one.adopted and adopted) for one in every)
         return replace(
             session,
             tried=tried,

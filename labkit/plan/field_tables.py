@@ -30,7 +30,7 @@ SCREWS_WORDS = "three or four places [x, y] in mm, not all on one line"
 LEAST_SPREAD = 0.02
 """Extent of the screws across the line nearest to all of them, over their extent along it."""
 
-LEAST_PART_PX = 32
+LEAST_STATED_PX = 32
 
 Rectangle = tuple[Corner, Corner]
 Tiles = Annotated[Count, AfterValidator(Allowed(1, 1000, whole=True))]
@@ -49,7 +49,7 @@ class FieldSettings(Table):
     """Side of the tiles into which a single large target is cut, instead of `tiles`. Default: none."""
     part_px: Annotated[Rectangle | None, Takes(PART_WORDS)] = None
     """Part of a single large target that is fitted alone, as one tile: [[top, left], [bottom, right]], row and column in the
-    photograph of the first range. Default: none."""
+    photographs of the nearest range. Default: none."""
     order: (
         Annotated[Count, AfterValidator(Allowed(1, MOST_FIELD_ORDER, whole=True))] | None
     ) = None
@@ -80,7 +80,7 @@ class FieldSettings(Table):
     def _rectangle(cls, part: Rectangle | None) -> Rectangle | None:
         if part is not None:
             (top, left), (bottom, right) = part
-            if min(bottom - top, right - left) < LEAST_PART_PX:
+            if min(bottom - top, right - left) < LEAST_STATED_PX:
                 raise not_allowed(PART_WORDS)
         return part
 
