@@ -141,7 +141,9 @@ def observe(
     for done, group in enumerate(together):
         progress(done, len(together), "finding the target")
         shots = [
-            early.pop(frame.file, None) or _shot(frame, plan, target, known.get(frame.file))
+            early.pop(frame.file)
+            if frame.file in early
+            else _shot(frame, plan, target, known.get(frame.file))
             for frame in group
         ]
         sights += _sights(shots)
@@ -163,8 +165,7 @@ def observe(
 
 def _sights(shots: Sequence[_Shot]) -> list[Sight]:
     """Return the targets in photographs of a range; none without a range."""
-    range_mm = _measured([shot.frame for shot in shots])
-    if range_mm is None:
+    if (range_mm := _measured([shot.frame for shot in shots])) is None:
         return []
     return [Sight(range_mm, at) for shot in shots for at in shot.corners_px.values()]
 

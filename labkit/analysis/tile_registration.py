@@ -73,12 +73,12 @@ def register_part(
     if match[peak] < LEAST_CORRELATION:
         return corners
     moved = np.array(peak) + first - low - offset
-    affine = np.array([[1.0, 0, peak[1]], [0, 1.0, peak[0]]], np.float32)
+    shift = np.array([[1.0, 0, peak[1]], [0, 1.0, peak[0]]], np.float32)
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, ECC_STEPS, ECC_CHANGE)
     everywhere = np.ones(grey.shape, np.uint8)
     try:
         _, affine = cv2.findTransformECC(
-            drawn, grey, affine, cv2.MOTION_AFFINE, criteria, everywhere, 3
+            drawn, grey, shift, cv2.MOTION_AFFINE, criteria, everywhere, 3
         )
     except cv2.error:  # it did not converge
         return np.asarray(corners + moved)
