@@ -253,8 +253,7 @@ def _parts(
     They are those of the nearest range, where the target is largest; its photographs are decoded for them, and returned.
     """
     group = min(groups, key=lambda group: group[0].range_mm or 0.0)
-    single = open_grid(plan.target) is None
-    if not (single and may_be_large(plan, group[0].range_mm)):
+    if open_grid(plan.target) is not None or not may_be_large(plan, group[0].range_mm):
         return {}, [], []
     shots = [_shot(frame, plan, target, known.get(frame.file)) for frame in group]
     corners = [at for shot in shots for at in shot.corners_px.values()]
