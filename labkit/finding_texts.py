@@ -61,6 +61,10 @@ TEXTS = {
     "target-at-places": (
         "the photographs show the target at {count} places of the frame: each is a tile of the field"
     ),
+    "large-target": (
+        "the target is {target_px} pixels wide: {count} tiles of {tile_px} pixels are fitted, {used:.0%} of its area; the "
+        "rest, between them or without detail, is left out; [field] tiles = [1, 1] would fit it whole, part_px a part of it"
+    ),
     "tiles-not-found": (
         "{count} of {every} tiles are not found{at}, and left out: {named}; are they whole in the frame, lit and not covered?"
     ),

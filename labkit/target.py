@@ -284,10 +284,16 @@ def _blurred_cells(
     edges = (np.arange(group.size + 1) / group.size - 0.5) * side_mm
     reach, step = low_pass()
     # only edges between unlike cells matter: a run of equal cells is one wide cell
-    keep = np.concatenate(([True], group[1:] != group[:-1], [True]))
-    passed = step(np.clip((at[:, None] - edges[keep]) * bandwidth_per_mm, -reach, reach))
-    member = np.zeros((int(keep.sum()) - 1, groups))
-    member[np.arange(member.shape[0]), group[keep[:-1]]] = 1.0
+    kept = np.flatnonzero(np.concatenate(([True], group[1:] != group[:-1], [True])))
+    # nor edges that no sample is near to, but for one on each side
+    near_mm = at.min() - reach / bandwidth_per_mm, at.max() + reach / bandwidth_per_mm
+    first = max(0, int(np.searchsorted(edges[kept], near_mm[0])) - 1)
+    kept = kept[first : int(np.searchsorted(edges[kept], near_mm[1])) + 1]
+    if kept.size < 2:
+        return np.zeros((at.size, groups))
+    passed = step(np.clip((at[:, None] - edges[kept]) * bandwidth_per_mm, -reach, reach))
+    member = np.zeros((kept.size - 1, groups))
+    member[np.arange(member.shape[0]), group[kept[:-1]]] = 1.0
     blurred: Floats = (passed[:, :-1] - passed[:, 1:]) @ member
     return blurred
 

@@ -116,7 +116,10 @@ MEANINGS = {
         "without a field."
     ),
     "wavefronts[].centre_px": "Row and column of the tile's middle; of tiles only.",
-    "wavefronts[].corners_px": "Corners of the target in each photograph, `[row, column]`, as fitted.",
+    "wavefronts[].corners_px": (
+        "Corners of the target in each photograph, `[row, column]`, as fitted; of the tile where a "
+        "large target is cut."
+    ),
     "focus": "Best focus and pupil magnification; null where ranges or defocus are missing:",
     "focus.best_focus_mm": "By channel:",
     "focus.best_focus_mm.NAME": "Range of best focus on the stated scale.",

@@ -45,6 +45,7 @@ class RangeAdvice:
     order : highest carpet order whose cells the lens resolves
     size_mm : least side at which the lens resolves the plan's order
     defocus_waves : expected, RMS
+    tiles : into which a large target is cut, at most; its errors are those of one of them
     std_* : standard errors, waves RMS at the reference wavelength
     """
 
@@ -57,6 +58,7 @@ class RangeAdvice:
     std_defocus_waves: float
     std_wavefront_waves: float
     undetermined: tuple[str, ...]
+    tiles: int = 1
 
     def as_json(self) -> dict[str, Any]:
         """Return the advice as JSON, with null for errors that are not finite."""
@@ -211,7 +213,9 @@ def _session(setup: Setup, fits: Mapping[float, ExpectedFit]) -> Outlook | None:
         for range_mm in ranges
     }
     determined = {
-        key: fit.measured for key, fit in every.items() if not fit.bound.undetermined
+        key: setup.of_all_tiles(fit, key.range_mm or 0.0).measured
+        for key, fit in every.items()
+        if not fit.bound.undetermined
     }
     return outlook(determined, Stated.of(plan), setup.focus_mm)
 
@@ -314,4 +318,5 @@ def _at(setup: Setup, range_mm: float, fit: ExpectedFit) -> RangeAdvice:
         std_defocus_waves=float(fit.bound.std[0]),
         std_wavefront_waves=fit.bound.rms(0, len(plan.fit.noll)),
         undetermined=fit.bound.undetermined,
+        tiles=setup.tiles(range_mm),
     )

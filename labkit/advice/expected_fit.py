@@ -8,6 +8,7 @@ from math import ceil, sqrt
 
 import numpy as np
 
+from labkit.analysis.target_tiles import tiles_along
 from labkit.estimation.candidate import Measured
 from labkit.estimation.climb import NoisePrior, Problem, Start, State
 from labkit.estimation.expansion import expand
@@ -43,7 +44,7 @@ SURROUND = 1.2
 """Side of the frame, in sides of the target."""
 
 WIDEST_PX = 160
-"""Side of the target in the frame that is computed; errors of larger ones go as 1/size."""
+"""Side of the target in the frame that is computed; errors of larger ones, up to those that are fitted whole, go as 1/size."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +102,15 @@ class Setup:
             ground_sample_mm(self.lens, range_mm, pitch_um)
         )
 
+    def tiles(self, range_mm: float) -> int:
+        """Return the number of tiles of which a target at a range is fitted, at most."""
+        count, _ = tiles_along(self.side_px(range_mm))
+        return count**2
+
+    def of_all_tiles(self, fit: ExpectedFit, range_mm: float) -> ExpectedFit:
+        """Return the expected fit of a tile with the errors of all tiles together, for the lens that they share."""
+        return fit.scaled(1 / sqrt(self.tiles(range_mm)))
+
     def defocus(self, range_mm: float) -> float:
         """Return the defocus at a range, waves RMS at the reference wavelength."""
         reference_nm = self.plan.reference_wavelength_nm
@@ -113,7 +123,7 @@ class Setup:
         defocus: float,
         noll: tuple[int, ...] | None = None,
     ) -> ExpectedFit:
-        """Return the expected fit of one range and channel, without errors of flats.
+        """Return the expected fit of one range and channel, of one tile of a large target, without errors of flats.
 
         Parameters
         ----------
@@ -121,7 +131,7 @@ class Setup:
         defocus : waves RMS
         noll : modes in place of the plan's
         """
-        side_px = self.side_px(range_mm)
+        _, side_px = tiles_along(self.side_px(range_mm))
         optics = self._optics(channel, noll or self.plan.fit.noll)
         one = self._of_one_photograph(optics, channel, min(side_px, WIDEST_PX), defocus)
         return one.scaled(min(1.0, WIDEST_PX / side_px) / sqrt(self.frames))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from labkit.advice.expected_fit import Setup
 from labkit.advice.outlook import LENS_NUMBERS, Outlook, Proposal
+from labkit.analysis.target_tiles import LARGEST_WHOLE_PX, TILE_PX
 from labkit.errors import TargetError
 from labkit.panel.panels import plan_panel
 from labkit.panel.picture import panel_picture
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
 
 FEWEST_PX = 40  # of the target's side: smaller ones are warned of
 ENOUGH_PX = 60  # from here on fits are reliable
+TILE_COST = (
+    0.15  # time of a further tile, of that of the first, which is searched from nothing
+)
 MOST_PX = 10_000  # across the widest sensors
 MOST_NAMED = 4  # undetermined parameters that are named; more are counted
 
@@ -48,7 +52,7 @@ def notes_of(
     if session is not None:
         yield from _lens_notes(session, proposal)
     yield from _carpet_notes(plan, advised)
-    yield from _size_notes(plan, advised)
+    yield from _size_notes(plan, advised, want_waves)
     yield from _fit_notes(advised)
     yield from _grid_notes(plan, advised)
     yield from _display_notes(plan, advised)
@@ -92,14 +96,48 @@ def _carpet_notes(plan: Plan, advised: Sequence[RangeAdvice]) -> Iterator[str]:
         yield f"order {lowest} would be resolved too, and holds more fine detail than order {order}"
 
 
-def _size_notes(plan: Plan, advised: Sequence[RangeAdvice]) -> Iterator[str]:
+def _size_notes(
+    plan: Plan, advised: Sequence[RangeAdvice], want_waves: float | None
+) -> Iterator[str]:
     smallest = min(at.size_px for at in advised)
-    largest = max(at.size_px for at in advised)
+    nearest = max(advised, key=lambda at: at.size_px)
+    largest = nearest.size_px
+    mm_per_px = plan.target.size_mm / largest
     if smallest < FEWEST_PX:
         wide = ENOUGH_PX / smallest * plan.target.size_mm
         yield f"the target spans {smallest:.0f} pixels only: about {wide:.3g} mm would span {ENOUGH_PX}"
+    elif largest < TILE_PX and not plan.target.of_many:
+        yield (
+            f"the target spans up to {largest:.0f} pixels: {TILE_PX * mm_per_px:.3g} mm would span {TILE_PX:.0f}, and make the "
+            f"wavefront's errors {TILE_PX / largest:.1f} times smaller"
+        )
     if largest > MOST_PX:
         yield f"the target spans {largest:.0f} pixels: no sensor holds all of it; choose a smaller one"
+    elif nearest.tiles > 1 and not plan.target.of_many:
+        yield (
+            f"the target spans {largest:.0f} pixels: up to {nearest.tiles} tiles of it are fitted, which takes some "
+            f"{1 + TILE_COST * (nearest.tiles - 1):.1f} times as long as a target of {LARGEST_WHOLE_PX * mm_per_px:.3g} mm, "
+            f"{LARGEST_WHOLE_PX:.0f} pixels, and shows how the wavefront changes over the part of the frame that the target "
+            f"covers; for one wavefront the smaller target is as good"
+        )
+    yield from _wanted_notes(plan, advised, want_waves)
+
+
+def _wanted_notes(
+    plan: Plan, advised: Sequence[RangeAdvice], want_waves: float | None
+) -> Iterator[str]:
+    """Yield the size of a target that is fitted whole and gives a requested error."""
+    worst = max(advised, key=lambda at: at.std_wavefront_waves)
+    if want_waves is None or not worst.std_wavefront_waves > want_waves:
+        return
+    side_px = min(worst.size_px, TILE_PX if worst.tiles > 1 else worst.size_px)
+    wanted_px = side_px * worst.std_wavefront_waves / want_waves
+    if wanted_px <= LARGEST_WHOLE_PX:
+        size_mm = wanted_px / worst.size_px * plan.target.size_mm
+        yield (
+            f"a target of {size_mm:.3g} mm, {wanted_px:.0f} pixels at {worst.range_mm:g} mm, would bring the wavefront's "
+            f"standard error to {want_waves:g} waves in as many photographs"
+        )
 
 
 def _grid_notes(plan: Plan, advised: Sequence[RangeAdvice]) -> Iterator[str]:

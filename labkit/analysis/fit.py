@@ -28,6 +28,7 @@ from labkit.analysis.session_results import (
     wavelengths_nm,
 )
 from labkit.analysis.steps import Steps
+from labkit.analysis.target_tiles import may_be_large
 from labkit.errors import DataError, FitError, InputError, SessionError
 from labkit.estimation.doubts import turned_lenses, with_model_error
 from labkit.estimation.estimate import Estimate
@@ -141,7 +142,7 @@ def fit(
         name or ("latest" if whole else _partial_name(ranges_mm, channels))
     )
     _refuse_loss(folder, keys)
-    workers = _processes(workers or default_workers(), plan, len(keys))
+    workers = _processes(workers or default_workers(), plan, keys)
     target, steps = open_target(plan.target), Steps(progress)
     together = None
     with fitted_alone(folder), _running(run, workers, steps) as mapped:
@@ -181,10 +182,12 @@ def fit(
         return _written(folder, every, kept, fits.lost, partial(map_in_order, mapped))
 
 
-def _processes(most: int, plan: Plan, wavefronts: int) -> int:
-    """Return a number of processes: no more than there are wavefronts, unless each is of many tiles."""
-    tiled = plan.target.of_many or plan.field.cuts
-    return most if tiled else min(most, wavefronts)
+def _processes(most: int, plan: Plan, keys: Collection[Key]) -> int:
+    """Return a number of processes: no more than there are wavefronts, unless each may be of many tiles."""
+    ranges = [key.range_mm for key in keys if key.range_mm is not None]
+    if may_be_large(plan, min(ranges, default=None)):
+        return most
+    return min(most, len(keys))
 
 
 @contextmanager
@@ -236,9 +239,9 @@ def _written(
     return replace(every[""], folder=folder)
 
 
-def first_view(observation: Observation) -> TargetView:
+def first_view(observation: Observation, target: Target) -> TargetView:
     """Return the first photograph of an observation, for the search for a panel's pixels."""
-    frame, pose = observation.frames[0], observation.poses[0]
+    frame, pose = observation.frames[0], observation.poses[0].of_target(target.size_mm)
     return TargetView(
         observation.range_mm,
         observation.channel,
@@ -259,7 +262,7 @@ def _panel_findings(
     PlanError : the pixels contradict the panel of the plan
     """
     first = {o.key.whole: o for o in reversed(observations)}  # of many tiles, one
-    views = [first_view(o) for o in first.values()]
+    views = [first_view(o, target) for o in first.values()]
     per_cell, seen = pixels_per_cell(plan, target), seen_pixels(views, target)
     if seen is None:
         return []

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from labkit.analysis.session_results import as_wavefront
+from labkit.analysis.target_tiles import middle_part, target_parts
+from labkit.analysis.tile_registration import register_part
 from labkit.arrays import mask_array, positive, real_array
 from labkit.calibration.photon_transfer import (
     UNKNOWN_NOISE_STD,
@@ -20,11 +22,12 @@ from labkit.estimation.estimate import LocalFit
 from labkit.estimation.likelihood import FrameData, low_orders
 from labkit.estimation.local import Guesses, Views, find_optima
 from labkit.estimation.observation import Observation
-from labkit.finder.cut import cut_around, sees_target_only
+from labkit.finder.cut import cut_around, cut_within, sees_target_only
 from labkit.finder.find_target import find_target
 from labkit.finder.picture import Picture
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
+from labkit.plan import FieldSettings
 from labkit.plan.sensor import ChannelPixels, channel_pixels, pattern_of
 from labkit.results import Wavefront
 from labkit.target import Target
@@ -51,6 +54,7 @@ def fit_image(
     """Fit the wavefront of one colour to photographs in memory, of a target at one range.
 
     Uneven illumination is estimated, for there are no flats. Of two twins, the returned one has a positive largest even mode.
+    Of a target wider than 360 pixels one tile is fitted, that nearest to its middle where it has detail: a session has all.
 
     Parameters
     ----------
@@ -104,7 +108,17 @@ def _observation(
     noise: NoisePrior,
 ) -> Observation:
     """Return the frames, cut to the target."""
-    rows, columns = cut_around(corners, images.shape[1:])
+    shape = images.shape[1:]
+    parts = target_parts(corners, FieldSettings(), target, shape)
+    part = middle_part(parts) if parts else None
+    rows, columns = cut_around(corners, shape)
+    if part is not None:
+        inside = [part.corners(Pose.from_corners(c, target.size_mm)) for c in corners]
+        rows, columns = cut_within(inside, shape)
+        corners = [
+            register_part(image, pixels.period, target, part, c)
+            for image, c in zip(images, corners, strict=True)
+        ]
     cut = images[:, rows, columns]
     usable = good[:, rows, columns] & pixels.mask(cut.shape[1:])
     poses = tuple(
@@ -119,7 +133,7 @@ def _observation(
         frames=tuple(
             _frame(*of_frame, target) for of_frame in zip(cut, usable, poses, strict=True)
         ),
-        poses=poses,
+        poses=poses if part is None else tuple(part.of(pose) for pose in poses),
         noise=noise,
         places=pixels.places,
         period=pixels.period,

@@ -2,13 +2,21 @@
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import inf
+from itertools import chain
 
 import numpy as np
 
 from labkit.analysis.locate import SURROUND_LEVELS, Corners, locate, locate_all
 from labkit.analysis.neighbours import only_own, with_neighbours
 from labkit.analysis.target_places import Places, of_one_place, places_in_frame
+from labkit.analysis.target_tiles import (
+    TargetPart,
+    cut_finding,
+    may_be_large,
+    middle_part,
+    target_parts,
+)
+from labkit.analysis.tile_registration import one_colour, register_part
 from labkit.calibration.calibrate import (
     Calibration,
     ChannelData,
@@ -42,7 +50,7 @@ from labkit.key import Key, Tile, same_range
 from labkit.panel.target_pixels import as_shown
 from labkit.photographs.decoding import read_photograph
 from labkit.photographs.photograph import Cut, Photograph
-from labkit.plan import FieldSettings, Plan
+from labkit.plan import Plan
 from labkit.session.frame import Frame, distinct
 from labkit.session.session import Session
 from labkit.target import Target
@@ -50,6 +58,8 @@ from labkit.target_grid import open_grid
 from labkit.types import Bools, Floats, Progress, no_progress
 
 LEAST_TARGET_PIXELS = 100  # usable ones on the target
+
+LEAST_TILE_PX = 16
 
 LEAST_BRIGHT_SHARE = 0.5
 """Of the brighter pixels on a tile's target, that are usable: where white is clipped, little but black is left."""
@@ -66,11 +76,12 @@ class _Shot:
 
 @dataclass(frozen=True)
 class _Region:
-    """A part of the photographs that is fitted: its tile, the target's corners (4, 2) in each, and the cut."""
+    """A part of the photographs that is fitted: its tile, the target's corners (4, 2) in each, the cut, the target's part."""
 
     tile: Tile | None
     corners_px: list[Floats]
     cut: Cut
+    part: TargetPart | None = None
 
 
 def observe(
@@ -109,10 +120,9 @@ def observe(
     """
     photographs, again = distinct(session.frames)
     frames, channels = selected(photographs, plan, range_mm, channel)
+    # a panel that is impossible is refused before photographs are looked at
     for name in channels:
-        as_shown(
-            plan, target, name
-        )  # a panel that is impossible is refused before photographs are looked at
+        as_shown(plan, target, name)
     groups = by_range(sorted(frames, key=lambda frame: frame.file)).values()
     progress(0, len(groups), "calibrating by flats and darks")
     calibration = calibrate(photographs, plan)
@@ -120,45 +130,62 @@ def observe(
     clear_mm = None if grid is None else grid.clear_mm
     known = dict[str, Corners]()
     if run is not None:
-        every = [frame for group in groups for frame in group]
-        known = locate_all(every, plan, target, run, progress)
+        known = locate_all([*chain(*groups)], plan, target, run, progress)
     places, at_places = _places(groups, plan, target, known, progress)
     known |= places
     observations: list[Observation] = []
-    findings = [*again, *calibration.findings, *at_places]
+    sights = list[Sight]()
     together = [one for group in groups for one in of_one_place(group, places)]
+    early, parts, in_parts = _parts(together, plan, target, known)
+    findings = [*again, *calibration.findings, *at_places, *in_parts]
     for done, group in enumerate(together):
         progress(done, len(together), "finding the target")
-        shots = [_shot(frame, plan, target, known.get(frame.file)) for frame in group]
-        regions, left_out = _regions(shots, plan)
+        shots = [
+            early.pop(frame.file)
+            if frame.file in early
+            else _shot(frame, plan, target, known.get(frame.file))
+            for frame in group
+        ]
+        sights += _sights(shots)
+        regions, left_out = _regions(shots, plan, target, parts)
         findings += left_out
-        order = min(map(frames.index, group))
         for name in channels:
             for region in regions:
                 made, assumed = _of_region(
                     calibration, target, shots, name, region, clear_mm
                 )
-                observations += [replace(of, order=order) for of in made]
+                observations += [
+                    replace(of, order=min(map(frames.index, group))) for of in made
+                ]
                 findings += assumed
-    sights = [
-        Sight(o.measured_range_mm, at)
-        for o in observations
-        if o.measured_range_mm is not None
-        for at in o.corners_px
-    ]
     refuse_contradictions(sights, plan, target.size_mm)
-    findings += _surround_findings(plan, observations)
+    findings += _surround_findings(plan, target, observations)
     return observations, each_once(findings)
 
 
-def _surround_findings(plan: Plan, observations: Sequence[Observation]) -> list[Finding]:
+def _sights(shots: Sequence[_Shot]) -> list[Sight]:
+    """Return the targets in photographs of a range; none without a range."""
+    if (range_mm := _measured([shot.frame for shot in shots])) is None:
+        return []
+    return [Sight(range_mm, at) for shot in shots for at in shot.corners_px.values()]
+
+
+def _surround_findings(
+    plan: Plan, target: Target, observations: Sequence[Observation]
+) -> list[Finding]:
     """Report a surround that is lighter or darker in the photographs than the plan states."""
     stated = SURROUND_LEVELS.get(plan.target.surround)
     levels = [
         level
         for o in observations
         for frame, pose in zip(o.frames, o.poses, strict=True)
-        if (level := surround_level(frame.counts / frame.illumination, frame.used, pose))
+        if (
+            level := surround_level(
+                frame.counts / frame.illumination,
+                frame.used,
+                pose.of_target(target.size_mm),
+            )
+        )
         is not None
     ]
     if stated is None or not levels or abs((seen := np.median(levels)) - stated) < 0.5:
@@ -215,10 +242,32 @@ def selected(
     return at, names
 
 
-def _regions(shots: Sequence[_Shot], plan: Plan) -> tuple[list[_Region], list[Finding]]:
+def _parts(
+    groups: Sequence[Sequence[Frame]],
+    plan: Plan,
+    target: Target,
+    known: Mapping[str, Corners],
+) -> tuple[dict[str, _Shot], list[TargetPart], list[Finding]]:
+    """Return the parts of a single target that are fitted at all ranges, none if it is fitted whole, and a finding about them.
+
+    They are those of the nearest range, where the target is largest; its photographs are decoded for them, and returned.
+    """
+    group = min(groups, key=lambda group: group[0].range_mm or 0.0)
+    if open_grid(plan.target) is not None or not may_be_large(plan, group[0].range_mm):
+        return {}, [], []
+    shots = [_shot(frame, plan, target, known.get(frame.file)) for frame in group]
+    corners = [at for shot in shots for at in shot.corners_px.values()]
+    parts = target_parts(corners, plan.field, target, shots[0].mosaic.shape)
+    early = {shot.frame.file: shot for shot in shots}
+    return early, parts, cut_finding(parts, corners[0], plan.field)
+
+
+def _regions(
+    shots: Sequence[_Shot], plan: Plan, target: Target, parts: Sequence[TargetPart]
+) -> tuple[list[_Region], list[Finding]]:
     """Return the observations of a range, and findings about a grid's missing targets.
 
-    Observations are a grid's targets in all photographs, the tiles of a single target, or the whole target.
+    Observations are a grid's targets in all photographs, parts of a single target, or the whole target.
     """
     shape = shots[0].mosaic.shape
     tiles = [
@@ -227,9 +276,12 @@ def _regions(shots: Sequence[_Shot], plan: Plan) -> tuple[list[_Region], list[Fi
     corners = {tile: [shot.corners_px[tile] for shot in shots] for tile in tiles}
     if (grid := open_grid(plan.target)) is None:
         ((place, whole),) = corners.items()
-        if place is not None:
+        if place is not None and parts:
+            parts = [replace(middle_part(parts), tile=place)]
+        elif place is not None:
             return [_Region(place, whole, cut_around(whole, shape))], []
-        return list(_cut_up(whole, plan.field, shape)), []
+        cut_up = _cut_up(whole, parts, shape)
+        return [_registered(region, shots, target) for region in cut_up], []
     regions = [_Region(tile, of, cut_around(of, shape)) for tile, of in corners.items()]
     absent = sorted(set(np.ndindex(grid.grid)) - {*tiles})
     if not absent:
@@ -249,23 +301,26 @@ def _regions(shots: Sequence[_Shot], plan: Plan) -> tuple[list[_Region], list[Fi
     ]
 
 
-def _cut_up(
-    corners: list[Floats], field: FieldSettings, shape: tuple[int, ...]
-) -> Iterator[_Region]:
-    """Yield the tiles of a single target, each the same part of it in all photographs; or the whole target."""
-    if not field.cuts:
-        yield _Region(None, corners, cut_around(corners, shape))
-        return
-    pose = Pose.from_corners(corners[0], (1.0, 1.0))
-    sides = [
-        max(1, round(2 * side / (field.pitch_px or inf))) for side in pose.pixel_per_unit()
+def _registered(region: _Region, shots: Sequence[_Shot], target: Target) -> _Region:
+    """Return a part of a target with the target's corners by this part alone, which distortion moves."""
+    if region.part is None:
+        return region
+    corners = [
+        register_part(*one_colour(shot.mosaic), target, region.part, one)
+        for shot, one in zip(shots, region.corners_px, strict=True)
     ]
-    rows, columns = field.tiles or sides
-    for row, column in np.ndindex(rows, columns):
-        at = np.add([[0, 0], [0, 1], [1, 1], [1, 0]], (row, column))
-        y, x = 2 * at.T / [[rows], [columns]] - 1
-        inside = [Pose.from_corners(one, (1.0, 1.0)).to_pixels(y, x) for one in corners]
-        yield _Region((row, column), corners, cut_within(inside, shape))
+    return replace(region, corners_px=corners)
+
+
+def _cut_up(
+    corners: list[Floats], parts: Sequence[TargetPart], shape: tuple[int, ...]
+) -> Iterator[_Region]:
+    """Yield the parts of a single target, each the same in all photographs; or the whole target if there are none."""
+    if not parts:
+        yield _Region(None, corners, cut_around(corners, shape))
+    for part in parts:
+        inside = [part.corners(Pose.from_corners(one, (2.0, 2.0))) for one in corners]
+        yield _Region(part.tile, corners, cut_within(inside, shape), part)
 
 
 def _places(
@@ -330,6 +385,8 @@ def _observation(
     first = shots[0].mosaic
     group = [shot.frame for shot in shots]
     rows, columns = cut = region.cut
+    if min(rows.stop - rows.start, columns.stop - columns.start) < LEAST_TILE_PX:
+        raise DataError(f"{group[0].file}: this part of the target is outside the frame")
     poses = tuple(
         Pose.from_corners(one, target.size_mm).shifted(rows.start, columns.start)
         for one in region.corners_px
@@ -360,6 +417,8 @@ def _observation(
     if clear_mm is not None:
         found_px = [shot.corners_px for shot in shots]
         frames = with_neighbours(frames, target, found_px, region.tile, cut)
+    if region.part is not None:
+        poses = tuple(region.part.of(pose) for pose in poses)
     observation = Observation(
         range_mm=group[0].range_mm,
         measured_range_mm=_measured(group),

@@ -208,7 +208,7 @@ class _Loop:
         """
         if selection is None:
             waves = first_of(self.found).waves
-            return {k: self._guess(modes=(waves,)) for k in left}
+            return {k: self._guess(self._beside(k), (waves,)) for k in left}
         predicted, covariance = selection.lens.predictions
         modes, at = len(self._noll), selection.lens.model.defocus
         guesses = dict[int, Guesses]()
@@ -230,12 +230,16 @@ class _Loop:
         stds = {k: stds[k] for k in clearest(self.observations, defocus)}
         terms = len(field_terms(selection.lens.model.field_order))
         for k in best_predicted(self.observations, self.found, stds, terms):
-            beside = nearest_fitted(self.observations, self.found, k)
-            known = () if beside is None else (self.chosen(beside).waves,)
+            known = self._beside(k)
             colour = in_other_colour(self.observations, self._fits, k)
             likely = colour.waves if colour else predicted[self.rows[k], :modes]
             guesses[k] = self._guess(starts=known, modes=known or (likely,))
         return guesses
+
+    def _beside(self, k: int) -> tuple[Floats, ...]:
+        """Return the wavefront of the nearest fitted tile; none without tiles."""
+        nearest = nearest_fitted(self.observations, self.found, k)
+        return () if nearest is None else (self.chosen(nearest).waves,)
 
     def _badly_predicted(self, selection: Selection) -> dict[int, Guesses]:
         """Return refits from the prediction of all others: of outliers, and of members with unexplained residuals.
@@ -317,9 +321,8 @@ class _Loop:
         wanted = dict[int, tuple[Optics, Guesses]]()
         for k, guess in guesses.items():
             optics = self._optics(k, selection)
-            if guess.modes and (
-                colour := in_other_colour(self.observations, self._fits, k)
-            ):
+            colour = in_other_colour(self.observations, self._fits, k)
+            if guess.modes and colour:
                 optics = optics.with_rim_of(colour.optics)
             if selection is not None and not (optics.rim.is_round or guess.held):
                 likened = beside(self.observations, self.rows, selection, k, optics)
@@ -458,11 +461,8 @@ class _Loop:
     ) -> Estimate:
         """Return the estimate with the parts that its model lacks."""
         with_missing = tuple(full.get(k) for k in sorted(self.found))
-        tried = tuple(
-            self.camera.tried
-            if adopted
-            else [replace(one, adopted=False) for one in self.camera.tried]
-        )
+        every = self.camera.tried
+        tried = tuple(replace(one, adopted=one.adopted and adopted) for one in every)
         return replace(
             session,
             tried=tried,

@@ -50,7 +50,7 @@ def _symmetric(torus: Torus, function: Callable[[Floats], Floats]) -> Floats:
 def guards(frame: tuple[int, int], reference: Pose, reach_px: float) -> tuple[int, int]:
     """Return the guard band along rows and columns, pixels, that keeps light within a reach from coming around.
 
-    frame: (rows, columns). reference: approximate pose of the target; the dark area around
+    frame: (rows, columns). reference: approximate pose of the whole target; the dark area around
     the target may come around.
     """
     corners = reference.corners_px()

@@ -124,8 +124,9 @@ class ForwardModel:
             optics.airy_um * (1 - f_number_margin) * optics.shortest
         )
         reaches_px = (part.reach_px for part in (*optics.parts, *optics.given))
+        whole = reference.of_target(target.size_mm)
         guard_px = guards(
-            frame, reference, max(window_um / 2 / optics.pitch_um, *reaches_px, 0.0)
+            frame, whole, max(window_um / 2 / optics.pitch_um, *reaches_px, 0.0)
         )
         torus = Torus.around(frame, guard_px, optics.pitch_um, band * cutoff)
         target = _lit(target, optics)

@@ -1,5 +1,6 @@
 """A target on the torus, at a pose: rendered from geometry, band-limited, warped (thesis 2.36-2.38)."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -22,6 +23,9 @@ SUPERSAMPLING = 2.2
 # tests/physics/test_scene.py holds the whole to the closed form
 BAND_SHARE = 0.9
 SAMPLES_AT_ONCE = 8_000_000  # samples of a raster that are made together, 64 MB
+# Of the torus's sides: raster beyond them. A climb moves a target by less, and by more than 5 % of its size in no case that the
+# reference serves
+STRAY = 0.1
 MARGIN_NYQUIST = 21  # Nyquist intervals of raster around the target: its filter reaches 9.06 / BAND_SHARE * 2 of them
 
 
@@ -43,8 +47,8 @@ class Scene:
 
     cutoff_per_um: incoherent cutoff of the optics, up to which the drawing must be right.
     reference: a pose near the drawn ones. brightness: relative brightness of the target's places
-    in the frame; None if even. The target is rendered once, band-limited, as a raster in
-    its own plane, and warped from there by splines. The raster depends on the reference
+    in the frame; None if even. The target, or what the torus holds of a larger one, is rendered
+    once, band-limited, as a raster in its own plane, and warped from there by splines. The raster depends on the reference
     only, so a drawing is a smooth function of its pose. At the conditions of thesis §3.8
     references that differ by 2 % in scale change a log-likelihood by 0.08 and a wavefront
     by 0.1 % of its standard errors; at a pose 5 % larger than the reference the change is
@@ -73,9 +77,25 @@ class Scene:
         return _Raster.draw(
             sampled,
             self.target.size_mm,
+            self._seen_mm,
             self.reference,
             self.cutoff_per_um * self.torus.pitch_um,
         )
+
+    @property
+    def _seen_mm(self) -> Floats:
+        """(2, 2) least and greatest (y, x) on the target that are drawn: no farther out than the torus at the reference."""
+        sides = np.array(self.torus.pixels)
+        low = -np.array(self.torus.margin) - STRAY * sides
+        rows, columns = np.stack([low, low + (1 + 2 * STRAY) * sides], axis=1)
+        at = self.reference.to_target(rows[[0, 0, 1, 1]], columns[[0, 1, 0, 1]])
+        own, centre = self.reference.half_size_mm, self.reference.centre_mm
+        return np.array(
+            [
+                [c + h * u.min(), c + h * u.max()]
+                for c, h, u in zip(centre, own, at, strict=True)
+            ]
+        ).T
 
     @cached_property
     def _slopes(self) -> "tuple[_Raster, ...]":
@@ -155,7 +175,7 @@ class _Raster:
     """
 
     coefficients: Floats32
-    first: Floats  # unit coordinate of the first sample along y and x
+    first: Floats  # (y, x) of the first sample, in the coordinates of poses
     step: Floats  # between samples
 
     @classmethod
@@ -163,16 +183,24 @@ class _Raster:
         cls,
         sampled: Callable[[Floats, Floats, float], tuple[Floats, ...]],
         size_mm: tuple[float, float],
+        seen_mm: Floats,
         reference: Pose,
         cutoff_per_px: float,
     ) -> "tuple[_Raster, ...]":
-        """Return rasters of functions sampled like a target of a size, at the reference's scale."""
-        half_mm = np.array(size_mm) / 2
-        pixel_per_mm = float(np.max(reference.pixel_per_unit() / half_mm))
+        """Return rasters of functions sampled like a target of a size, at the reference's scale.
+
+        seen_mm: (2, 2) least and greatest (y, x) that are needed
+        """
+        own_mm, centre_mm = np.array(reference.half_size_mm), np.array(reference.centre_mm)
+        pixel_per_mm = float(np.max(reference.pixel_per_unit() / own_mm))
         cutoff_per_mm = cutoff_per_px * pixel_per_mm
         step_mm = 1 / (2 * cutoff_per_mm * SUPERSAMPLING)
-        counts = np.ceil(half_mm / step_mm + MARGIN_NYQUIST * SUPERSAMPLING).astype(int)
-        y_mm, x_mm = (np.arange(-n, n + 1) * step_mm for n in counts)
+        around = MARGIN_NYQUIST * SUPERSAMPLING
+        most = np.ceil(np.array(size_mm) / 2 / step_mm + around).astype(int)
+        seen = np.round(seen_mm / step_mm + [[-around], [around]]).astype(int)
+        low = np.clip(seen[0], -most, most - math.ceil(2 * around))
+        high = np.clip(seen[1], low + math.ceil(2 * around), most)
+        y_mm, x_mm = (np.arange(a, b + 1) * step_mm for a, b in zip(low, high, strict=True))
         rasters = list[Floats32]()
         for first in range(0, len(y_mm), many := max(1, SAMPLES_AT_ONCE // len(x_mm))):
             rows = slice(first, first + many)
@@ -184,16 +212,15 @@ class _Raster:
                 raster[rows] = spline.along_rows(part)
         for raster in rasters:
             spline.filter_columns(raster)
-        return tuple(
-            cls(raster, -counts * step_mm / half_mm, step_mm / half_mm)
-            for raster in rasters
-        )
+        first = (low * step_mm - centre_mm) / own_mm
+        return tuple(cls(raster, first, step_mm / own_mm) for raster in rasters)
 
     @property
     def outline(self) -> tuple[Floats, Floats]:
         """Unit coordinates (y, x) of the raster's corners."""
-        y, x = -self.first
-        return np.array([-y, -y, y, y]), np.array([-x, x, x, -x])
+        top, left = self.first
+        bottom, right = self.first + self.step * (np.array(self.coefficients.shape) - 1)
+        return np.array([top, top, bottom, bottom]), np.array([left, right, right, left])
 
     def at(self, to_target: Floats, shape: tuple[int, int]) -> Floats32:
         """Return values on a grid whose (i, j, 1) a homography (3, 3) maps to unit coordinates (y, x, 1); 0

@@ -1,6 +1,6 @@
 """The target's pose: the homography from its plane to the sensor's pixels (thesis 2.8, Appendix C)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,15 +16,23 @@ CORNER_X = np.array([-1.0, 1, 1, -1])
 class Pose:
     """Eight numbers v that map target coordinates to pixels.
 
-    With (y, x) in units of half the target's sides, from its centre, y down and x right,
+    With (y, x) in units of half the sides of a rectangle on the target, from its centre, y down and x right,
 
         row = (v0 + v1 y + v2 x) / (1 + v6 y + v7 x),    col = (v3 + v4 y + v5 x) / (1 + v6 y + v7 x).
 
-    v0..v5 are in pixels (pixel centres at integers), v6 and v7 unitless.
+    v0..v5 are in pixels (pixel centres at integers), v6 and v7 unitless. The rectangle is the target, or the part of a
+    large target that is fitted alone: numbers of a distant rectangle would be known together only.
+
+    Attributes
+    ----------
+    v : (8,) numbers
+    half_size_mm : half (height, width) of the rectangle
+    centre_mm : (y, x) of its centre from the target's
     """
 
     v: Floats
     half_size_mm: tuple[float, float]
+    centre_mm: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         object.__setattr__(
@@ -61,16 +69,42 @@ class Pose:
             ) from error
         return cls(v, (size_mm[0] / 2, size_mm[1] / 2))
 
+    @classmethod
+    def from_matrix(
+        cls,
+        matrix: Floats,
+        half_size_mm: tuple[float, float],
+        centre_mm: tuple[float, float] = (0.0, 0.0),
+    ) -> "Pose":
+        """Return the pose of a homography (3, 3), of any scale, from (y, x, 1) to (row, col, 1)."""
+        (v1, v2, v0), (v4, v5, v3), (v6, v7, _) = matrix / matrix[2, 2]
+        return cls(np.array([v0, v1, v2, v3, v4, v5, v6, v7]), half_size_mm, centre_mm)
+
     def moved(self, step: Floats) -> "Pose":
         """Return the pose v + step."""
-        return Pose(self.v + step, self.half_size_mm)
+        return replace(self, v=self.v + step)
+
+    def about(
+        self, half_size_mm: tuple[float, float], centre_mm: tuple[float, float] = (0.0, 0.0)
+    ) -> "Pose":
+        """Return the same pose in the coordinates of another rectangle on the target."""
+        own, other = np.array(self.half_size_mm), np.array(half_size_mm)
+        away = np.subtract(centre_mm, self.centre_mm) / own
+        there = np.diag([*(other / own), 1.0])
+        there[:2, 2] = away
+        matrix = self.matrix @ there
+        return Pose.from_matrix(matrix, half_size_mm, centre_mm)
 
     def shifted(self, rows: float, columns: float) -> "Pose":
         """Return the pose in pixel coordinates with their origin at (rows, columns)."""
         v = self.v.copy()
         v[[0, 1, 2]] -= rows * np.array([1, v[6], v[7]])
         v[[3, 4, 5]] -= columns * np.array([1, v[6], v[7]])
-        return Pose(v, self.half_size_mm)
+        return replace(self, v=v)
+
+    def of_target(self, size_mm: tuple[float, float]) -> "Pose":
+        """Return the same pose in the coordinates of the whole target, of (height, width)."""
+        return self.about((size_mm[0] / 2, size_mm[1] / 2))
 
     @property
     def matrix(self) -> Floats:
@@ -79,7 +113,7 @@ class Pose:
         return np.array([[v[1], v[2], v[0]], [v[4], v[5], v[3]], [v[6], v[7], 1.0]])
 
     def corners_px(self) -> Floats:
-        """Return (4, 2) corners as (row, col)."""
+        """Return (4, 2) corners of the rectangle as (row, col)."""
         return self.to_pixels(CORNER_Y, CORNER_X)
 
     def to_pixels(self, y: Floats, x: Floats) -> Floats:
@@ -97,14 +131,14 @@ class Pose:
         return y / w, x / w
 
     def pixel_per_unit(self) -> tuple[float, float]:
-        """Return the pixels spanned by one unit of y and of x at the target's centre."""
+        """Return the pixels spanned by one unit of y and of x at the rectangle's centre."""
         v = self.v
         dy = np.hypot(v[1] - v[0] * v[6], v[4] - v[3] * v[6])
         dx = np.hypot(v[2] - v[0] * v[7], v[5] - v[3] * v[7])
         return float(dy), float(dx)
 
     def log_scale(self) -> tuple[float, Floats]:
-        """Return ln of pixels per mm at the target's centre, the geometric mean over directions, and its slopes
+        """Return ln of pixels per mm at the rectangle's centre, the geometric mean over directions, and its slopes
         (8,) by v.
 
         A target tilted by t has a smaller scale than an upright one, by t^2 / 4 and the
@@ -116,7 +150,7 @@ class Pose:
         return float(mean), slopes[[0, 0, 0, 1, 1, 1, 2, 2], [2, 0, 1, 2, 0, 1, 0, 1]]
 
     def log_foreshortening(self) -> float:
-        """Return ln of pixels per mm along the line of constant range through the target's centre, less the
+        """Return ln of pixels per mm along the line of constant range through the rectangle's centre, less the
         mean of all directions.
 
         A tilt shortens the target only across this line, wherever the target is in the
@@ -139,7 +173,7 @@ class Pose:
         return np.asarray(np.where(upright, 0.0, along - 0.5 * area))
 
     def log_stretch(self) -> tuple[float, float]:
-        """Return a cos 2 phi and a sin 2 phi of the picture at the target's centre, longest in the direction phi.
+        """Return a cos 2 phi and a sin 2 phi of the picture at the rectangle's centre, longest in the direction phi.
 
         a is half ln of its length over that across, phi from right (along the rows) towards down.
         """

@@ -1,7 +1,8 @@
 """Detect a panel's own pixels in photographs, with their pitch and the layout of their colours.
 
 A target's cell is a whole number of panel pixels, and the pattern of a pixel repeats at the pixels' pitch. Each number of
-pixels per cell has a frequency of its own, which is searched for, aliased if need be, in the white at the target's middle.
+pixels per cell has a frequency of its own, which is searched for, aliased if need be, in the white at the target's middle, or
+in all white areas of a tile that does not show the middle.
 """
 
 from __future__ import annotations
@@ -190,7 +191,10 @@ def _waves(view: TargetView, target: CellTarget) -> tuple[Complexes, float]:
     down, right = (np.asarray(index, float) for index in np.indices(view.light.shape))
     to_target = np.linalg.inv(view.to_pixels)
     y, x, w = (a * down + b * right + c for a, b, c in to_target)
+    middle = (np.abs(y / w) < SEARCHED_MIDDLE) & (np.abs(x / w) < SEARCHED_MIDDLE)
     white = _white(target, y / w, x / w) & view.used
+    if (white & middle).sum() >= LEAST_WHITE_PIXELS:  # a tile does not show the middle
+        white &= middle
     per_unit = view.to_pixels[:2, :2] - np.outer(
         view.to_pixels[:2, 2], view.to_pixels[2, :2]
     )
@@ -198,29 +202,29 @@ def _waves(view: TargetView, target: CellTarget) -> tuple[Complexes, float]:
     most = int(FASTEST / per_px.max())
     if white.sum() < LEAST_WHITE_PIXELS or not most:
         return np.zeros((2, 0), complex), 0.0
-    y, x = (index[white] - index[white].mean() for index in (down, right))
+    at = np.array([index[white].mean() for index in (down, right)])
+    y, x = (index[white] - mean for index, mean in zip((down, right), at, strict=True))
     trend = np.stack([np.ones(y.size), y, x, y * x, y**2, x**2], axis=1)
     values = view.light[white]
     smooth = trend @ np.linalg.lstsq(trend, values, rcond=None)[0]
     picture = np.zeros(view.light.shape)
     picture[white] = values / smooth - 1
-    # cycles a pixel of the frame for one cycle to a cell, along the target's axes at its middle
-    middle = np.linalg.solve(to_target, np.array([0.0, 0.0, 1.0]))
-    middle = middle / middle[2]
-    scale = float(to_target[2] @ middle)
+    # cycles a pixel of the frame for one cycle to a cell, along the target's axes at the middle of the white
+    *on_target, scale = to_target @ np.append(at, 1.0)
     waves = np.zeros((2, most), complex)
     extent = max(np.ptp(y), np.ptp(x))
     for axis, cells in enumerate(target.cells.shape):
-        gradient = to_target[axis, :2] / scale * cells / 2
+        slope = to_target[axis, :2] - on_target[axis] / scale * to_target[2, :2]
+        gradient = slope / scale * cells / 2
         for k in range(1, most + 1):
             waves[axis, k - 1] = _strongest(picture, k * gradient, extent, int(white.sum()))
     return waves, float(np.std(picture[white]) * np.sqrt(2 / white.sum()))
 
 
 def _white(target: CellTarget, y: Floats, x: Floats) -> Bools:
-    """Mark pixels, by their unit coordinates, that lie in white areas in the middle of the target."""
+    """Mark pixels, by their unit coordinates, that lie in white areas of the target."""
     half = np.array(target.size_mm) / 2
-    inside = (np.abs(y) < SEARCHED_MIDDLE) & (np.abs(x) < SEARCHED_MIDDLE)
+    inside = (np.abs(y) < 1) & (np.abs(x) < 1)
     white = (target.radiance(y * half[0], x * half[1]) > 0.99 * target.cells.max()) & inside
     return np.asarray(
         cv2.erode(white.astype(np.uint8), np.ones((2 * RIM_PX + 1,) * 2, np.uint8)) > 0

@@ -24,11 +24,15 @@ MOST_FIELD_ORDER = 8
 
 CATS_EYE_WORDS = "[shift, radius]: a shift from -1.4 to 1.4 and a radius from 1 to 5"
 TILES_WORDS = "[rows, columns], each from 1 to 1000"
+PART_WORDS = "[[top, left], [bottom, right]] in pixels of the photograph, 32 or more apart"
 SCREWS_WORDS = "three or four places [x, y] in mm, not all on one line"
 
 LEAST_SPREAD = 0.02
 """Extent of the screws across the line nearest to all of them, over their extent along it."""
 
+LEAST_STATED_PX = 32
+
+Rectangle = tuple[Corner, Corner]
 Tiles = Annotated[Count, AfterValidator(Allowed(1, 1000, whole=True))]
 Shift = Annotated[Number, AfterValidator(Allowed(-1.4, 1.4))]
 Radius = Annotated[Number, AfterValidator(Allowed(1, 5))]
@@ -38,10 +42,14 @@ class FieldSettings(Table):
     """The tiles that a target fills the frame with, and the wavefront's expansion over the frame."""
 
     tiles: Annotated[tuple[Tiles, Tiles] | None, Takes(TILES_WORDS)] = None
-    """Rows and columns of tiles into which a single large target is cut. Default: one tile, or the targets of
-    `target.grid`."""
+    """Rows and columns of tiles into which a single target is cut; [1, 1] fits it whole. Default: the targets of
+    `target.grid`; of a single target up to 360 pixels one tile, of a larger one up to 5 × 5 tiles of 240 pixels, where it
+    has detail."""
     pitch_px: Annotated[Number, AfterValidator(Allowed(16, 100_000))] | None = None
     """Side of the tiles into which a single large target is cut, instead of `tiles`. Default: none."""
+    part_px: Annotated[Rectangle | None, Takes(PART_WORDS)] = None
+    """Part of a single large target that is fitted alone, as one tile: [[top, left], [bottom, right]], row and column in the
+    photographs of the nearest range. Default: none."""
     order: (
         Annotated[Count, AfterValidator(Allowed(1, MOST_FIELD_ORDER, whole=True))] | None
     ) = None
@@ -61,7 +69,20 @@ class FieldSettings(Table):
     def _one_way(self) -> FieldSettings:
         if self.tiles is not None and self.pitch_px is not None:
             raise problem("tiles and pitch_px exclude each other: give one of both")
+        if self.part_px is not None and self.cuts:
+            raise problem(
+                "part_px is fitted alone: leave out tiles and pitch_px, or part_px"
+            )
         return self
+
+    @field_validator("part_px")
+    @classmethod
+    def _rectangle(cls, part: Rectangle | None) -> Rectangle | None:
+        if part is not None:
+            (top, left), (bottom, right) = part
+            if min(bottom - top, right - left) < LEAST_STATED_PX:
+                raise not_allowed(PART_WORDS)
+        return part
 
 
 AtLeast = Annotated[

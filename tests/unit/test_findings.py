@@ -87,6 +87,7 @@ SAMPLES = [
     flats_of_another_range(2150.0, 2200.0),
     flats_partly_unlit(2000.0, 0.125),
     found("target-at-places", count=4),
+    found("large-target", target_px=1000, count=8, tile_px=200, used=0.32),
     found(
         "tiles-not-found",
         None,

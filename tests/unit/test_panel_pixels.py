@@ -227,7 +227,7 @@ def seen(request: pytest.FixtureRequest) -> tuple[str, SeenPixels]:
         )
         for c in "RGB"
     ]
-    found = seen_pixels([first_view(o) for o in shown], CARPET)
+    found = seen_pixels([first_view(o, CARPET) for o in shown], CARPET)
     assert found is not None
     return layout, found
 
@@ -263,4 +263,4 @@ def test_stripes_of_another_panel_are_refused(seen: tuple[str, SeenPixels]) -> N
 def test_whole_pixels_show_nothing() -> None:
     whole = PanelTarget.of(CARPET, (36, 36), 1)
     plain = photographed(replace(whole, aperture=(3.0, 1.0)), "G", 500.0)
-    assert seen_pixels([first_view(plain)], CARPET) is None
+    assert seen_pixels([first_view(plain, CARPET)], CARPET) is None

@@ -108,6 +108,18 @@ def test_sampling_is_linear_in_the_cells_and_moves_with_them() -> None:
     np.testing.assert_allclose(moved, sampled(a), atol=1e-9)
 
 
+@pytest.mark.parametrize("ends", [(-20.0, -16.0), (-15.4, -12.0), (-0.3, 0.3), (6.0, 19.0)])
+def test_samples_of_a_part_are_those_of_the_whole(ends: tuple[float, float]) -> None:
+    target = CellTarget(carpet_cells(4), (30.0, 30.0))
+    every = np.linspace(-20, 20, 801)
+    part = (every >= ends[0]) & (every <= ends[1])
+    whole = target.sample(every, every, 1.5)
+    # sums of more terms round otherwise
+    assert np.allclose(
+        target.sample(every[part], every, 1.5), whole[part], rtol=0, atol=1e-12
+    )
+
+
 def test_all_of_the_light_arrives() -> None:
     target = CellTarget(carpet_cells(2), (2.0, 2.0))
     at = (np.arange(300) - 150) * 0.05
