@@ -3,6 +3,7 @@
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf
+from sys import maxsize
 
 import numpy as np
 
@@ -57,7 +58,7 @@ LEAST_BRIGHT_SHARE = 0.5
 
 @dataclass(frozen=True)
 class _Shot:
-    """A decoded photograph of the target, with the corners of every tile that was found."""
+    """The part of a photograph that shows the target, with the corners (in the frame) of every tile that was found."""
 
     frame: Frame
     mosaic: Photograph
@@ -85,8 +86,8 @@ def observe(
 ) -> tuple[list[Observation], list[Finding]]:
     """Prepare observations of a session.
 
-    Photographs of one range and one place are in memory at a time. A single target is searched for in all photographs before,
-    where a range has several: it may be at several places of the frame. With `run` every target is.
+    The target is searched for in all photographs first. Of each photograph, dark and flat only the part that the target needs
+    is then kept: that of one range and one place at a time.
 
     Parameters
     ----------
@@ -114,22 +115,24 @@ def observe(
             plan, target, name
         )  # a panel that is impossible is refused before photographs are looked at
     groups = by_range(sorted(frames, key=lambda frame: frame.file)).values()
-    progress(0, len(groups), "calibrating by flats and darks")
-    calibration = calibrate(photographs, plan)
+    every = [frame for group in groups for frame in group]
+    known = _locate_each(every, plan, target, run, progress)
+    places, at_places = _places(groups, plan, known)
+    known |= places
+    cuts = {group[0].range_mm: _needed_cut(group, known) for group in groups}
+    calibration = calibrate(photographs, plan, cuts, progress)
     grid = open_grid(plan.target)
     clear_mm = None if grid is None else grid.clear_mm
-    known = dict[str, Corners]()
-    if run is not None:
-        every = [frame for group in groups for frame in group]
-        known = locate_all(every, plan, target, run, progress)
-    places, at_places = _places(groups, plan, target, known, progress)
-    known |= places
     observations: list[Observation] = []
     findings = [*again, *calibration.findings, *at_places]
     together = [one for group in groups for one in of_one_place(group, places)]
     for done, group in enumerate(together):
-        progress(done, len(together), "finding the target")
-        shots = [_shot(frame, plan, target, known.get(frame.file)) for frame in group]
+        progress(done, len(together), "reading the target's photographs")
+        cut = _needed_cut(group, known)
+        shots = [
+            _Shot(frame, read_photograph(frame.path, plan.sensor, cut), known[frame.file])
+            for frame in group
+        ]
         regions, left_out = _regions(shots, plan)
         findings += left_out
         order = min(map(frames.index, group))
@@ -220,7 +223,7 @@ def _regions(shots: Sequence[_Shot], plan: Plan) -> tuple[list[_Region], list[Fi
 
     Observations are a grid's targets in all photographs, the tiles of a single target, or the whole target.
     """
-    shape = shots[0].mosaic.shape
+    shape = shots[0].mosaic.frame_px
     tiles = [
         tile for tile in shots[0].corners_px if all(tile in s.corners_px for s in shots)
     ]
@@ -268,32 +271,40 @@ def _cut_up(
         yield _Region((row, column), corners, cut_within(inside, shape))
 
 
-def _places(
-    groups: Collection[Sequence[Frame]],
+def _locate_each(
+    frames: Sequence[Frame],
     plan: Plan,
     target: Target,
-    known: Mapping[str, Corners],
+    run: Run | None,
     progress: Progress,
+) -> dict[str, Corners]:
+    """Return the corners of every tile in each photograph by its file: as the plan states them, or as they are found."""
+    if (stated := plan.target.corners_px) is not None:
+        return {frame.file: {None: np.array(stated, float)} for frame in frames}
+    known = {} if run is None else locate_all(frames, plan, target, run, progress)
+    for done, frame in enumerate(frames):
+        if frame.file not in known:  # its process was killed: alone it has room
+            progress(done, len(frames), "finding the target")
+            whole = read_photograph(frame.path, plan.sensor)
+            known[frame.file] = locate(whole, frame.file, frame.range_mm, plan, target)
+    return known
+
+
+def _needed_cut(group: Sequence[Frame], known: Mapping[str, Corners]) -> Cut:
+    """Return rows and columns that hold every region of some photographs, which may end beyond the frame."""
+    every = [at for frame in group for at in known[frame.file].values()]
+    return cut_around(every, (maxsize, maxsize))
+
+
+def _places(
+    groups: Collection[Sequence[Frame]], plan: Plan, known: Mapping[str, Corners]
 ) -> tuple[Places, list[Finding]]:
     """Return the places of a single target in the frame; none for targets of which each photograph shows several tiles."""
     single = open_grid(plan.target) is None and not plan.field.cuts
     if not single or plan.target.corners_px is not None:
         return {}, []
-
-    def middle(frame: Frame) -> Floats:
-        at = known.get(frame.file) or _shot(frame, plan, target, None).corners_px
-        (corners,) = at.values()
-        return corners
-
-    return places_in_frame(groups, middle, progress)
-
-
-def _shot(frame: Frame, plan: Plan, target: Target, known: Corners | None) -> _Shot:
-    """Decode a photograph, and search for the target if its corners are not known."""
-    mosaic = read_photograph(frame.path, plan.sensor)
-    if known is None:
-        known = locate(mosaic, frame.file, frame.range_mm, plan, target)
-    return _Shot(frame, mosaic, known)
+    corners = {file: at for file, of in known.items() for at in of.values()}
+    return places_in_frame(groups, corners)
 
 
 def _of_region(
@@ -375,7 +386,7 @@ def _observation(
             int(frame.meta["homing"]) for frame in group if "homing" in frame.meta
         ),
         tile=region.tile,
-        photograph_px=first.shape[:2],
+        photograph_px=first.frame_px,
     )
     return observation, tuple(finding for part in data for finding in part.findings)
 

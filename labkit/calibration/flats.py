@@ -24,7 +24,7 @@ from labkit.calibration.photon_transfer import ROUNDING_VARIANCE, NoiseEstimate,
 from labkit.calibration.stack import Stack
 from labkit.findings import Finding, flats_partly_unlit, found
 from labkit.panel.pattern_in_flats import repeating
-from labkit.photographs.photograph import Cut
+from labkit.photographs.photograph import WHOLE, Cut, overlap
 from labkit.types import Bools, Floats, Floats32
 
 LEAST_DEFECT = 0.05
@@ -44,14 +44,14 @@ as many."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Flat:
-    """The flats of one range.
+    """The flats of one range, NaN beyond the pixels that the range needs.
 
     frames: their number; illumination: (rows, cols), mean 1 in each channel, NaN where
     unlit; mean: (rows, cols) counts above dark, NaN where saturated; places: planes of each
     channel; level: counts at illumination 1 in each channel; scatter: from frame to frame,
-    of each channel. panel: (rows, cols) relative brightness of each pixel against its
-    surroundings that the panel's own pixels cause, NaN where too dark; None if the panel's
-    pixels are not resolved.
+    of each channel; unlit: share of the needed pixels without light. panel: (rows, cols)
+    relative brightness of each pixel against its surroundings that the panel's own pixels
+    cause, NaN where too dark; None if the panel's pixels are not resolved.
     """
 
     frames: int
@@ -60,6 +60,7 @@ class Flat:
     places: Mapping[str, tuple[Cut, ...]]
     level: Mapping[str, float]
     scatter: Mapping[str, tuple[Scatter, ...]]
+    unlit: float
     panel: Floats32 | None
 
 
@@ -72,14 +73,20 @@ class Response:
     dead: Bools
 
 
-def reduce_flats(stack: Stack, names: Sequence[str], dark: Dark | None) -> Flat:
+def reduce_flats(
+    stack: Stack, names: Sequence[str], dark: Dark | None, box: Cut = WHOLE
+) -> Flat:
     """Return the smooth illumination, mean 1 in each channel; two greens keep their ratio.
 
-    names: of the channels
+    names: of the channels; box: of the frame, which the dark shows and the result will,
+    the stack's within
     """
-    offset = stack.first.black_map if dark is None else dark.offset
+    first = stack.first
+    box = overlap(box, first.frame_box)
+    here = first.slices(first.box, box)
+    offset = first.black_map if dark is None else dark.offset[here]
+    good = ~stack.saturated if dark is None else dark.usable[here] & ~stack.saturated
     mean = clipped_mean(stack.counts) - offset
-    good = ~stack.saturated if dark is None else dark.usable & ~stack.saturated
     illumination = np.full(mean.shape, np.nan, dtype=np.float32)
     places = {}
     levels = {}
@@ -101,18 +108,30 @@ def reduce_flats(stack: Stack, names: Sequence[str], dark: Dark | None) -> Flat:
     mean[stack.saturated] = np.nan
     seen = bool(np.any(panel != 1))
     panel[panel < LEAST_LIT_BETWEEN] = np.nan
-    lit = np.isfinite(illumination) & ~stack.saturated
-    where = {name: stack.first.channel_mask(name) & lit for name in names}
+    lit = np.isfinite(illumination)
+    where = {name: first.channel_mask(name) & lit & ~stack.saturated for name in names}
     scatter = {name: tuple(stack.scatter(where[name], offset, lit=True)) for name in names}
+    planes = [lit[plane] for of in places.values() for plane in of]  # of the plan's colours
+    shape = stack.first.array_shape(box)
     return Flat(
         len(stack.counts),
-        illumination,
-        mean.astype(np.float32),
+        _placed(illumination, here, shape),
+        _placed(mean.astype(np.float32), here, shape),
         places,
         levels,
         scatter,
-        panel if seen else None,
+        1 - float(np.mean([np.mean(plane) for plane in planes])),
+        _placed(panel, here, shape) if seen else None,
     )
+
+
+def _placed(part: Floats32, here: Cut, shape: tuple[int, int]) -> Floats32:
+    """Return an array that holds a part at these slices, and NaN elsewhere."""
+    if part.shape == shape:
+        return part
+    whole = np.full(shape, np.nan, dtype=np.float32)
+    whole[here] = part
+    return whole
 
 
 def _light_and_panel(flat: Floats, good: Bools, full: Bools) -> tuple[Illumination, Floats]:
@@ -172,14 +191,8 @@ def flat_findings(
         yield found("no-flat-frames")
         return
     for range_mm, flat in flats.items():
-        planes = [
-            flat.illumination[plane] for places in flat.places.values() for plane in places
-        ]
-        unlit = float(
-            np.mean([np.mean(np.isnan(plane)) for plane in planes])
-        )  # of the plan's colours
-        if unlit > 0.01:
-            yield flats_partly_unlit(range_mm, unlit)
+        if flat.unlit > 0.01:
+            yield flats_partly_unlit(range_mm, flat.unlit)
     if any(estimate.gain is None for estimate in noise.values()):
         yield found("gain-not-measured")
 
@@ -212,42 +225,56 @@ FALLOFF_SAMPLES = 100  # along each side of the frame: light is smooth
 class Falloff:
     """ln of the lens's share of the light: a r^2 + b r^4, r from 0 in the middle to 1 in the corners of a frame.
 
-    shape: (rows, columns) of the frame in pixels; powers: (a, b).
+    shape: (rows, columns) of the frame in pixels; powers: (a, b); level: mean of the polynomial
+    where it was measured, which is subtracted: the middle of the frame may be far from there.
     """
 
     shape: tuple[int, int]
     powers: tuple[float, float]
+    level: float = 0.0
 
     @classmethod
-    def of(cls, illumination: Floats32, shape: tuple[int, int]) -> Falloff:
-        """Fit the fall-off to a frame's relative illumination, NaN where unlit, by least squares.
+    def of(
+        cls, illumination: Floats32, shape: tuple[int, int], box: Cut = WHOLE
+    ) -> Falloff:
+        """Fit the fall-off to the relative illumination in a box of a frame, NaN where unlit, by least squares.
 
-        illumination: evenly spread over the frame, such as (rows, columns), or (rows, 3
-        columns) of a picture in colours
+        illumination: evenly spread over the box, such as (rows, columns), or (rows, 3
+        columns) of a picture in colours. A box that is small and far from the middle shows
+        what varies with the distance from the middle as a slope: that is taken as the
+        lens's, and the share of a slope that may be the target's is among the errors
+        (`Brightness.growth_std`).
         """
+        sides = _within(shape, box)
         places = [
             np.unique(np.linspace(0, n - 1, FALLOFF_SAMPLES).round().astype(int))
             for n in illumination.shape
         ]
         rows, columns = (
-            at // (n // side)
-            for at, n, side in zip(places, illumination.shape, shape, strict=True)
+            side[at // (n // len(side))]
+            for at, n, side in zip(places, illumination.shape, sides, strict=True)
         )
         seen = illumination[np.ix_(*places)].astype(np.float64)
         r2 = _square(shape, rows, columns)
         lit = seen > 0
         terms = np.stack([np.ones(lit.sum()), r2[lit], r2[lit] ** 2], axis=1)
         _, a, b = np.linalg.lstsq(terms, np.log(seen[lit]), rcond=None)[0]
-        return cls(shape, (float(a), float(b)))
+        level = float(np.mean(terms[:, 1:] @ (a, b)))
+        return cls(shape, (float(a), float(b)), level)
 
     def at(self, cut: Cut) -> Floats:
-        """Return the (rows, columns) relative light of a cut of the frame, 1 in the middle of the frame."""
-        rows, columns = (
-            np.arange(n, dtype=np.float64)[part]
-            for n, part in zip(self.shape, cut, strict=True)
-        )
-        r2 = _square(self.shape, rows, columns)
-        return np.asarray(np.exp(self.powers[0] * r2 + self.powers[1] * r2**2))
+        """Return the (rows, columns) relative light of a cut of the frame."""
+        r2 = _square(self.shape, *_within(self.shape, cut))
+        a, b = self.powers
+        return np.asarray(np.exp(a * r2 + b * r2**2 - self.level))
+
+
+def _within(shape: tuple[int, int], cut: Cut) -> tuple[Floats, Floats]:
+    """Return the rows and the columns of a cut of a frame."""
+    rows, columns = (
+        np.arange(n, dtype=np.float64)[part] for n, part in zip(shape, cut, strict=True)
+    )
+    return rows, columns
 
 
 def _square(shape: tuple[int, int], rows: Floats, columns: Floats) -> Floats:

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import ndimage
 
 from labkit.calibration.masters import outliers, smooth_illumination
-from labkit.calibration.stack import Stack, read_stack
+from labkit.calibration.stack import Stack, Stacks
 from labkit.errors import DataError, shown
 from labkit.plan import Sensor
 from labkit.session.frame import Frame
@@ -132,7 +132,7 @@ def read_series(
         if not _same(darks[k].exposure_s, group.exposure_s):
             missing.append(group.exposure_s)
         if k != offset_of:
-            offset = _mean(read_stack(darks[k].frames, sensor))
+            offset = _mean(Stacks(sensor).read(darks[k].frames))
             offset_of = k
         stack = _stack(group, sensor)
         for name in channels:
@@ -256,7 +256,7 @@ def _even_light(
 
 def _stack(group: _Group, sensor: Sensor) -> Stack:
     """Read the frames of a level. Raises DataError for processed pictures and copies of a frame."""
-    stack = read_stack(group.frames, sensor)
+    stack = Stacks(sensor).read(group.frames)
     first = group.frames[0]
     if stack.first.tone is not None:
         raise DataError(
