@@ -129,6 +129,9 @@ class _Process:
             size = np.dtype(dtype).itemsize * prod(shape)
             arrays[name] = self._read(size, at).view(dtype).reshape(shape)
             at += size
+        os.ftruncate(
+            self._memory.fileno(), 0
+        )  # a frame would stay in memory until the next
         return answer, arrays
 
     def end(self) -> int:

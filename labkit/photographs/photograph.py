@@ -6,7 +6,7 @@ mosaic with a cell of one row and three columns for each pixel.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -114,7 +114,10 @@ class Photograph:
     @property
     def light(self) -> Floats:
         """(rows, cols) counts above black."""
-        return self.counts - self.black_map
+        light = self.counts.astype(np.float64)
+        for plane, black in self._blacks():
+            light[plane] -= black
+        return light
 
     @property
     def full_light(self) -> float:
@@ -124,8 +127,18 @@ class Photograph:
     @property
     def saturated(self) -> Bools:
         """(rows, cols) True where a count is at the white level, or so near that its noise is clipped."""
-        range_ = self.white - self.black_map
-        return np.asarray(self.counts >= self.white - SATURATION_MARGIN * range_)
+        saturated = np.empty(self.counts.shape, dtype=np.bool_)
+        for plane, black in self._blacks():
+            limit = self.white - SATURATION_MARGIN * (self.white - black)
+            saturated[plane] = self.counts[plane] >= limit
+        return saturated
+
+    def _blacks(self) -> Iterator[tuple[Cut, float]]:
+        """Yield slices of counts and the black level of each place of the cell: no map of a whole frame is made."""
+        high, wide = self.black.shape
+        for row, column in np.ndindex(high, wide):
+            plane = slice(row, None, high), slice(column, None, wide)
+            yield plane, float(self.black[row, column])
 
     @property
     def rounding_variance(self) -> Floats:
