@@ -3,7 +3,6 @@
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf
-from sys import maxsize
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from labkit.calibration.calibrate import (
     calibrate,
     channel_data,
 )
+from labkit.calibration.needed import Needed
 from labkit.calibration.photon_transfer import (
     ROUNDING_VARIANCE,
     UNKNOWN_NOISE_STD,
@@ -119,8 +119,8 @@ def observe(
     known = _locate_each(every, plan, target, run, progress)
     places, at_places = _places(groups, plan, known)
     known |= places
-    cuts = {group[0].range_mm: _needed_cut(group, known) for group in groups}
-    calibration = calibrate(photographs, plan, cuts, progress)
+    needed = {group[0].range_mm: _needed(group, known) for group in groups}
+    calibration = calibrate(photographs, plan, needed, progress)
     grid = open_grid(plan.target)
     clear_mm = None if grid is None else grid.clear_mm
     observations: list[Observation] = []
@@ -128,7 +128,7 @@ def observe(
     together = [one for group in groups for one in of_one_place(group, places)]
     for done, group in enumerate(together):
         progress(done, len(together), "reading the target's photographs")
-        cut = _needed_cut(group, known)
+        cut = _needed(group, known).cut
         shots = [
             _Shot(frame, read_photograph(frame.path, plan.sensor, cut), known[frame.file])
             for frame in group
@@ -290,10 +290,9 @@ def _locate_each(
     return known
 
 
-def _needed_cut(group: Sequence[Frame], known: Mapping[str, Corners]) -> Cut:
-    """Return rows and columns that hold every region of some photographs, which may end beyond the frame."""
-    every = [at for frame in group for at in known[frame.file].values()]
-    return cut_around(every, (maxsize, maxsize))
+def _needed(group: Sequence[Frame], known: Mapping[str, Corners]) -> Needed:
+    """Return the part of the frame that holds every region of some photographs."""
+    return Needed.by_targets(at for one in group for at in known[one.file].values())
 
 
 def _places(

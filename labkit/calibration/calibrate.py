@@ -19,12 +19,13 @@ from labkit.calibration.flats import (
     pixel_response,
     reduce_flats,
 )
+from labkit.calibration.needed import EVERYTHING, Needed
 from labkit.calibration.photon_transfer import NoiseEstimate, photon_transfer
 from labkit.calibration.stack import Stacks
 from labkit.calibration.stated_noise import UNMEASURED, noise_findings, with_stated
 from labkit.errors import DataError
 from labkit.findings import Finding, at_range, each_once, flats_of_another_range
-from labkit.photographs.photograph import WHOLE, Cut, Photograph, overlap, spanned
+from labkit.photographs.photograph import WHOLE, Cut, Photograph, overlap
 from labkit.plan import Plan
 from labkit.session.frame import Frame
 from labkit.types import Bools, Floats, Floats32, Progress, no_progress
@@ -83,7 +84,7 @@ class ChannelData:
 def calibrate(
     frames: Iterable[Frame],
     plan: Plan,
-    regions: Mapping[float | None, Cut] | None = None,
+    needed: Mapping[float | None, Needed] | None = None,
     progress: Progress = no_progress,
 ) -> Calibration:
     """Return the masters of a session's dark (or else bias) and flat frames.
@@ -95,9 +96,9 @@ def calibrate(
     ----------
     frames : of the session
     plan : gives sensor and channels
-    regions : rows and columns that the target photographs of each range need; None for
-        whole frames. Flats are of light on the target: what they show elsewhere, a room,
-        would bend the illumination
+    needed : what the target photographs of each range need; None for whole frames. Flats
+        are of light on the target: what they show elsewhere, a room, would bend the
+        illumination
     progress : called with the step under way
 
     Raises
@@ -111,8 +112,9 @@ def calibrate(
         kinds[frame.kind].append(frame)
     unlit = kinds["dark"] or kinds["bias"]
     groups = by_range(kinds["flat"])
-    cuts = _cuts_of_flats([*groups], regions)
-    box = WHOLE if regions is None else spanned(regions.values())
+    needed = needed or {None: EVERYTHING}
+    of_flats = _needed_of_flats([*groups], needed)
+    box = Needed.by_all(needed.values()).cut
     stacks = Stacks(plan.sensor)
     steps = len(groups) + 1
     progress(0, steps, "reading darks")
@@ -120,8 +122,9 @@ def calibrate(
     flats: dict[float | None, Flat] = {}
     for done, (range_mm, group) in enumerate(groups.items(), start=1):
         progress(done, steps, f"reading flats{at_range(range_mm)}")
-        stack = stacks.read(group, cuts[range_mm])
-        flats[range_mm] = reduce_flats(stack, names, dark, box)
+        part = of_flats[range_mm]
+        stack = stacks.read(group, part.cut)
+        flats[range_mm] = reduce_flats(stack, names, dark, box, part)
     measured = {
         name: photon_transfer(
             [scatter for flat in flats.values() for scatter in flat.scatter[name]],
@@ -155,17 +158,16 @@ def calibrate(
     )
 
 
-def _cuts_of_flats(
-    ranges_mm: Sequence[float | None], regions: Mapping[float | None, Cut] | None
-) -> dict[float | None, Cut]:
-    """Return what the flats of each range are needed for: the regions of all ranges that they serve."""
-    if regions is None or not ranges_mm:
-        return dict.fromkeys(ranges_mm, WHOLE)
-    served: dict[float | None, list[Cut]] = {range_mm: [] for range_mm in ranges_mm}
-    for range_mm, cut in regions.items():
-        served[_nearest(range_mm, ranges_mm)].append(cut)
+def _needed_of_flats(
+    ranges_mm: Sequence[float | None], needed: Mapping[float | None, Needed]
+) -> dict[float | None, Needed]:
+    """Return what is needed of the flats of each range, by all ranges that they serve."""
+    served: dict[float | None, list[Needed]] = {range_mm: [] for range_mm in ranges_mm}
+    if ranges_mm:
+        for range_mm, part in needed.items():
+            served[_nearest(range_mm, ranges_mm)].append(part)
     # the others' still show the gain and the pixels' response
-    return {mm: spanned(cuts or regions.values()) for mm, cuts in served.items()}
+    return {mm: Needed.by_all(parts or needed.values()) for mm, parts in served.items()}
 
 
 def by_range(frames: Iterable[Frame]) -> dict[float | None, list[Frame]]:

@@ -16,15 +16,18 @@ from labkit.calibration.darks import Dark
 from labkit.calibration.masters import (
     Illumination,
     clipped_mean,
+    display_around,
+    joined_to,
     outliers,
     shrunk,
     smooth_illumination,
 )
+from labkit.calibration.needed import EVERYTHING, Needed
 from labkit.calibration.photon_transfer import ROUNDING_VARIANCE, NoiseEstimate, Scatter
 from labkit.calibration.stack import Stack
 from labkit.findings import Finding, flats_partly_unlit, found
 from labkit.panel.pattern_in_flats import repeating
-from labkit.photographs.photograph import WHOLE, Cut, overlap
+from labkit.photographs.photograph import WHOLE, Cut, Photograph, overlap
 from labkit.types import Bools, Floats, Floats32
 
 LEAST_DEFECT = 0.05
@@ -49,7 +52,7 @@ class Flat:
     frames: their number; illumination: (rows, cols), mean 1 in each channel, NaN where
     unlit; mean: (rows, cols) counts above dark, NaN where saturated; places: planes of each
     channel; level: counts at illumination 1 in each channel; scatter: from frame to frame,
-    of each channel; unlit: share of the needed pixels without light. panel: (rows, cols)
+    of each channel; unlit: share of the targets' pixels without light. panel: (rows, cols)
     relative brightness of each pixel against its surroundings that the panel's own pixels
     cause, NaN where too dark; None if the panel's pixels are not resolved.
     """
@@ -74,12 +77,16 @@ class Response:
 
 
 def reduce_flats(
-    stack: Stack, names: Sequence[str], dark: Dark | None, box: Cut = WHOLE
+    stack: Stack,
+    names: Sequence[str],
+    dark: Dark | None,
+    box: Cut = WHOLE,
+    needed: Needed = EVERYTHING,
 ) -> Flat:
     """Return the smooth illumination, mean 1 in each channel; two greens keep their ratio.
 
     names: of the channels; box: of the frame, which the dark shows and the result will,
-    the stack's within
+    the stack's within; needed: by which the stack was cut
     """
     first = stack.first
     box = overlap(box, first.frame_box)
@@ -87,6 +94,8 @@ def reduce_flats(
     offset = first.black_map if dark is None else dark.offset[here]
     good = ~stack.saturated if dark is None else dark.usable[here] & ~stack.saturated
     mean = clipped_mean(stack.counts) - offset
+    target = needed.target_mask(first)
+    display = _display(mean, good, target, first) if needed.outlines else None
     illumination = np.full(mean.shape, np.nan, dtype=np.float32)
     places = {}
     levels = {}
@@ -94,7 +103,12 @@ def reduce_flats(
     for name in names:
         places[name] = stack.first.planes(name)
         found = [
-            _light_and_panel(mean[plane], good[plane], stack.saturated[plane])
+            _light_and_panel(
+                mean[plane],
+                good[plane],
+                stack.saturated[plane],
+                None if display is None else display[plane],
+            )
             for plane in places[name]
         ]
         smooth = [light for light, _ in found]
@@ -111,7 +125,9 @@ def reduce_flats(
     lit = np.isfinite(illumination)
     where = {name: first.channel_mask(name) & lit & ~stack.saturated for name in names}
     scatter = {name: tuple(stack.scatter(where[name], offset, lit=True)) for name in names}
-    planes = [lit[plane] for of in places.values() for plane in of]  # of the plan's colours
+    lit_shares = [
+        np.mean(lit[plane][target[plane]]) for of in places.values() for plane in of
+    ]
     shape = stack.first.array_shape(box)
     return Flat(
         len(stack.counts),
@@ -120,7 +136,7 @@ def reduce_flats(
         places,
         levels,
         scatter,
-        1 - float(np.mean([np.mean(plane) for plane in planes])),
+        1 - float(np.mean(lit_shares)),
         _placed(panel, here, shape) if seen else None,
     )
 
@@ -134,13 +150,31 @@ def _placed(part: Floats32, here: Cut, shape: tuple[int, int]) -> Floats32:
     return whole
 
 
-def _light_and_panel(flat: Floats, good: Bools, full: Bools) -> tuple[Illumination, Floats]:
+def _display(mean: Floats, good: Bools, target: Bools, first: Photograph) -> Bools:
+    """Return the pixels (rows, cols) that the display around the targets lights in each colour: a room may be as bright in one.
+
+    mean: flat; target: pixels that see one; first: photograph of the same box
+    """
+    display = np.ones(mean.shape, dtype=np.bool_)
+    for plane in first.every_plane:
+        found = display_around(mean[plane], good[plane], target[plane])
+        for (
+            other
+        ) in first.every_plane:  # an odd row or column at the end has no cell of its own
+            rows, cols = np.minimum(found.shape, display[other].shape)
+            display[other][:rows, :cols] &= found[:rows, :cols]
+    return joined_to(target, display)
+
+
+def _light_and_panel(
+    flat: Floats, good: Bools, full: Bools, lit: Bools | None
+) -> tuple[Illumination, Floats]:
     """Return a plane's smooth light, and the pattern (rows, cols) of the panel's own pixels, mean 0.
 
     The pattern is zero if there is none. flat: (rows, cols) counts; full: saturated pixels,
-    not good.
+    not good; lit: by the display, None where that is to be found.
     """
-    light = smooth_illumination(flat, good)
+    light = smooth_illumination(flat, good, lit=lit)
     pattern = np.zeros(flat.shape)
     filled = flat
     for _ in range(PASSES):
@@ -153,10 +187,13 @@ def _light_and_panel(flat: Floats, good: Bools, full: Bools) -> tuple[Illuminati
         # the brightest of a pattern may be full: without them light would be too low, so they are what it and pattern say
         filled = np.where(full, np.maximum(flat, smooth * (1 + pattern)), flat)
         # a difference errs as the pattern does, to and fro; a quotient would err to one side
-        light = smooth_illumination(filled - smooth * pattern, good | full)
+        light = smooth_illumination(filled - smooth * pattern, good | full, lit=lit)
     if pattern.any():
         light = smooth_illumination(
-            filled / (1 + np.maximum(pattern, LEAST_LIT_BETWEEN - 1)), good | full, NEAR_PX
+            filled / (1 + np.maximum(pattern, LEAST_LIT_BETWEEN - 1)),
+            good | full,
+            NEAR_PX,
+            lit,
         )
     return light, pattern
 

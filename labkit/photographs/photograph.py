@@ -38,9 +38,14 @@ def overlap(cut: Cut, box: Cut) -> Cut:
 
 
 def spanned(cuts: Iterable[Cut]) -> Cut:
-    """Return the smallest box that holds all cuts."""
+    """Return the smallest box that holds all cuts, with an open end where one of them has that."""
     rows, columns = (
-        slice(min(part.start for part in parts), max(part.stop for part in parts))
+        slice(
+            min(part.start for part in parts),
+            None
+            if any(part.stop is None for part in parts)
+            else max(part.stop for part in parts),
+        )
         for parts in zip(*cuts, strict=True)
     )
     return rows, columns

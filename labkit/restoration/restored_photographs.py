@@ -14,6 +14,7 @@ import numpy as np
 
 from labkit.analysis.measured_camera import optics_behind
 from labkit.calibration.calibrate import calibrate
+from labkit.calibration.needed import Needed
 from labkit.errors import DataError
 from labkit.execute import Workers
 from labkit.key import same_range
@@ -152,8 +153,8 @@ def restore_session(
         )
     plan = results.plan
     names = wanted.channels or results.channels
-    areas = None if wanted.crop is None else {range_mm: area_to_read(wanted.crop)}
-    calibration = calibrate(session.frames, plan, areas)
+    needed = {range_mm: Needed(area_to_read(wanted.crop))}
+    calibration = calibrate(session.frames, plan, needed)
     shots = [read_shot(f.path, plan, wanted.crop, names, f, calibration) for f in frames]
     return _restore(shots, results, range_mm, out, wanted, say, progress)
 
