@@ -2,7 +2,8 @@
 
 Illumination is smooth and belongs to a range. Response belongs to the sensor and is
 averaged over all ranges' flats. The lens's fall-off, symmetric about the middle of the
-frame, multiplies the blurred image; the target's illumination is blurred with the target.
+frame or of a small part of it, multiplies the blurred image; the target's illumination is
+blurred with the target.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from labkit.calibration.stack import Stack
 from labkit.findings import Finding, flats_partly_unlit, found
 from labkit.panel.pattern_in_flats import repeating
 from labkit.photographs.photograph import WHOLE, Cut, Photograph, overlap
-from labkit.types import Bools, Floats, Floats32
+from labkit.types import Bools, Floats, Floats32, Indices
 
 LEAST_DEFECT = 0.05
 """A pixel whose response is nearer than this to its neighbours' is no defect, however well it is measured."""
@@ -257,18 +258,21 @@ def _mean_ratio(
 
 FALLOFF_SAMPLES = 100  # along each side of the frame: light is smooth
 
+LARGE_BOX = 0.5
+"""Of a frame's diagonal: in a smaller box the light of the flats is that of a target in a room, and is round about the
+target, if about anything. A lens's fall-off from the middle of the frame varies little over so small a part, and where it
+is a slope, no flat of a display tells it from the display's own; `Brightness.growth_std` holds that."""
+
 
 @dataclass(frozen=True, slots=True)
 class Falloff:
-    """ln of the lens's share of the light: a r^2 + b r^4, r from 0 in the middle to 1 in the corners of a frame.
+    """ln of the lens's share of the light: a r^2 + b r^4, r from 0 in the middle to 1 in the corners of a box.
 
-    shape: (rows, columns) of the frame in pixels; powers: (a, b); level: mean of the polynomial
-    where it was measured, which is subtracted: the middle of the frame may be far from there.
+    box: rows and columns in the frame; powers: (a, b).
     """
 
-    shape: tuple[int, int]
+    box: Cut
     powers: tuple[float, float]
-    level: float = 0.0
 
     @classmethod
     def of(
@@ -276,46 +280,42 @@ class Falloff:
     ) -> Falloff:
         """Fit the fall-off to the relative illumination in a box of a frame, NaN where unlit, by least squares.
 
-        illumination: evenly spread over the box, such as (rows, columns), or (rows, 3
-        columns) of a picture in colours. A box that is small and far from the middle shows
-        what varies with the distance from the middle as a slope: that is taken as the
-        lens's, and the share of a slope that may be the target's is among the errors
-        (`Brightness.growth_std`).
+        It is round about the middle of the frame (rows, columns), or of a box that is much
+        smaller. illumination: evenly spread over the box, such as (rows, columns), or (rows,
+        3 columns) of a picture in colours.
         """
-        sides = _within(shape, box)
+        frame = slice(0, shape[0]), slice(0, shape[1])
+        box = overlap(box, frame)
+        round_in = frame if _diagonal(box) > LARGE_BOX * _diagonal(frame) else box
         places = [
             np.unique(np.linspace(0, n - 1, FALLOFF_SAMPLES).round().astype(int))
             for n in illumination.shape
         ]
         rows, columns = (
-            side[at // (n // len(side))]
-            for at, n, side in zip(places, illumination.shape, sides, strict=True)
+            side.start + at // (n // (side.stop - side.start))
+            for at, n, side in zip(places, illumination.shape, box, strict=True)
         )
         seen = illumination[np.ix_(*places)].astype(np.float64)
-        r2 = _square(shape, rows, columns)
+        r2 = _square(round_in, rows, columns)
         lit = seen > 0
         terms = np.stack([np.ones(lit.sum()), r2[lit], r2[lit] ** 2], axis=1)
         _, a, b = np.linalg.lstsq(terms, np.log(seen[lit]), rcond=None)[0]
-        level = float(np.mean(terms[:, 1:] @ (a, b)))
-        return cls(shape, (float(a), float(b)), level)
+        return cls(round_in, (float(a), float(b)))
 
     def at(self, cut: Cut) -> Floats:
-        """Return the (rows, columns) relative light of a cut of the frame."""
-        r2 = _square(self.shape, *_within(self.shape, cut))
-        a, b = self.powers
-        return np.asarray(np.exp(a * r2 + b * r2**2 - self.level))
+        """Return the (rows, columns) relative light of a cut of the frame, 1 in the middle of the box."""
+        rows, columns = (np.arange(part.start, part.stop) for part in cut)
+        r2 = _square(self.box, rows, columns)
+        return np.asarray(np.exp(self.powers[0] * r2 + self.powers[1] * r2**2))
 
 
-def _within(shape: tuple[int, int], cut: Cut) -> tuple[Floats, Floats]:
-    """Return the rows and the columns of a cut of a frame."""
-    rows, columns = (
-        np.arange(n, dtype=np.float64)[part] for n, part in zip(shape, cut, strict=True)
-    )
-    return rows, columns
+def _diagonal(box: Cut) -> float:
+    return float(np.hypot(*(side.stop - side.start for side in box)))
 
 
-def _square(shape: tuple[int, int], rows: Floats, columns: Floats) -> Floats:
-    """Return r^2 for all pairs of the rows and columns of a frame."""
-    middle = [(n - 1) / 2 for n in shape]
+def _square(box: Cut, rows: Indices, columns: Indices) -> Floats:
+    """Return r^2 for all pairs of rows and columns of a frame."""
+    middle = [(side.start + side.stop - 1) / 2 for side in box]
+    corner = sum(((side.stop - side.start - 1) / 2) ** 2 for side in box)
     away = (rows[:, None] - middle[0]) ** 2 + (columns[None, :] - middle[1]) ** 2
-    return np.asarray(away / max(sum(m**2 for m in middle), 1.0))
+    return np.asarray(away / max(corner, 1.0))
