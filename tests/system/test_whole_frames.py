@@ -1,0 +1,74 @@
+"""Golden sessions pasted into whole frames, beside a room: the results are those of the crop."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import labkit
+from labkit.analysis.locate import Corners, locate
+from labkit.photographs.photograph import Photograph
+from labkit.plan import Plan
+from labkit.target import Target
+from tests.whole_frames import Embedding, embed_session
+
+GOLDEN = Path(__file__).parents[3] / "shared" / "golden"
+SIDE_PX = 240
+"""Of the crops."""
+
+pytestmark = pytest.mark.skipif(not GOLDEN.is_dir(), reason="shared/golden is not here")
+
+
+def bookshelf(shape: tuple[int, int]) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+    """Upright stripes of any brightness, from black to white."""
+    rng = np.random.default_rng(4)
+    return np.repeat(rng.random((shape[0] // 50, shape[1] // 10)), 10, axis=1)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("lit", [False, True], ids=["dark room", "bookshelf"])
+def test_a_session_of_whole_frames_ends_with_the_crops_results(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lit: bool
+) -> None:
+    how = Embedding(shape=(1500, 2200), place=(400, 1600))
+    if lit:
+        how = replace(how, room=bookshelf(how.shape))
+    frames = embed_session(GOLDEN / "bench-open", tmp_path / "frames", how)
+    results = []
+    for name, folder in (("crop", GOLDEN / "bench-open"), ("whole", frames)):
+        session = labkit.import_frames(
+            folder / "frames.csv", folder / "plan.toml", tmp_path / name
+        )
+        if name == "whole":
+            look_at_the_crop_only(monkeypatch, how)
+        results.append(labkit.fit(session, channels="G", workers=1))
+    crop, whole = results
+    for wavefront in crop:
+        found = whole[wavefront.range_mm, "G"]
+        std = np.sqrt(np.diag(wavefront.covariance))
+        # measured: 0.05 at most
+        assert np.max(np.abs(found.waves - wavefront.waves) / std) < 0.1
+
+
+def look_at_the_crop_only(monkeypatch: pytest.MonkeyPatch, how: Embedding) -> None:
+    """Search for the target in the pasted part alone: whether it is found in a whole frame is another test's subject."""
+    place = how.place
+
+    def in_crop(
+        photograph: Photograph,
+        file: str,
+        range_mm: float | None,
+        plan: Plan,
+        target: Target,
+    ) -> Corners:
+        rows, columns = (slice(start, start + SIDE_PX) for start in place)
+        crop = photograph.cropped((rows, columns))
+        alone = replace(crop, origin_px=(0, 0), whole_px=None)
+        corners = locate(alone, file, range_mm, plan, target)
+        return {tile: at + place for tile, at in corners.items()}
+
+    monkeypatch.setattr("labkit.analysis.observe.locate", in_crop)
