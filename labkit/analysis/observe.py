@@ -285,9 +285,14 @@ def _locate_each(
     for done, frame in enumerate(frames):
         if frame.file not in known:  # its process was killed: alone it has room
             progress(done, len(frames), "finding the target")
-            whole = read_photograph(frame.path, plan.sensor)
-            known[frame.file] = locate(whole, frame.file, frame.range_mm, plan, target)
+            known[frame.file] = _locate_alone(frame, plan, target)
     return known
+
+
+def _locate_alone(frame: Frame, plan: Plan, target: Target) -> Corners:
+    """Return the corners in a photograph, whose frame is in memory meanwhile."""
+    whole = read_photograph(frame.path, plan.sensor)
+    return locate(whole, frame.file, frame.range_mm, plan, target)
 
 
 def _needed(group: Sequence[Frame], known: Mapping[str, Corners]) -> Needed:

@@ -207,24 +207,30 @@ def _polynomial(flat: Floats, use: Bools) -> Floats:
         trust = weight.ravel() / np.maximum(
             1.0, away / max(2 * spread, 1e-12)
         )  # Huber's weights
-    y, x = (np.linspace(-1, 1, n) for n in flat.shape)
-    surface = scale * np.tensordot(coefficients, _powers(y, x), axes=1)
+    # a product of matrices: every term's surface by itself would take fifteen times the memory
+    of_powers = np.zeros((ILLUMINATION_ORDER + 1, ILLUMINATION_ORDER + 1))
+    of_powers[tuple(np.transpose(_degrees()))] = coefficients
+    py, px = (_legendre(np.linspace(-1, 1, n)) for n in flat.shape)
+    surface = scale * (py.T @ of_powers @ px)
     # outside of the lit part a polynomial may do anything
     return np.asarray(np.maximum(surface, 0.02 * scale))
 
 
 def _powers(y: Floats, x: Floats) -> Floats:
     """Return (terms, rows, cols) products of Legendre polynomials up to the total degree."""
-    py, px = (np.polynomial.legendre.legvander(u, ILLUMINATION_ORDER).T for u in (y, x))
+    py, px = _legendre(y), _legendre(x)
+    return np.array([np.outer(py[i], px[j]) for i, j in _degrees()])
+
+
+def _legendre(u: Floats) -> Floats:
+    """Return (degrees, n) Legendre polynomials at places from -1 to 1."""
+    return np.asarray(np.polynomial.legendre.legvander(u, ILLUMINATION_ORDER).T)
+
+
+def _degrees() -> list[tuple[int, int]]:
+    """Return the degrees in row and column of each term."""
     degrees = range(ILLUMINATION_ORDER + 1)
-    return np.array(
-        [
-            np.outer(py[i], px[j])
-            for i in degrees
-            for j in degrees
-            if i + j <= ILLUMINATION_ORDER
-        ]
-    )
+    return [(i, j) for i in degrees for j in degrees if i + j <= ILLUMINATION_ORDER]
 
 
 def outliers(values: Floats, among: Bools, least: float = 0.0) -> Bools:
