@@ -1,4 +1,4 @@
-"""What photographs of a target need of darks and flats: a part of the frame, and the light on the target."""
+"""The part of the frame that photographs of a target need of darks and flats, and where the target is in it."""
 
 from __future__ import annotations
 

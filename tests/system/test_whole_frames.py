@@ -55,8 +55,8 @@ def test_a_session_of_whole_frames_ends_with_the_crops_results(
         np.abs(whole[w.range_mm, "G"].waves - w.waves) / np.sqrt(np.diag(w.covariance))
         for w in crop
     ]
-    print(np.max(away))
-    assert np.max(away) < 0.1, away
+    # measured: 0.037 in the dark, 0.033 beside the bookshelf
+    assert np.max(away) < 0.07, away
 
 
 def look_at_the_crop_only(monkeypatch: pytest.MonkeyPatch, how: Embedding) -> None:
