@@ -1,9 +1,9 @@
 """Run functions that read foreign files in a separate process, with limits of time and memory.
 
 Libraries that decode photographs follow whatever a damaged file states: for minutes,
-through gigabytes, or into foreign memory. The process starts with the first file and serves
-all later ones. A file that breaks a limit ends the process, and a new process serves the
-next file. Results travel as values of the type that the function states (see
+through gigabytes, or into foreign memory. The process starts with the first file, serves
+all later ones, and ends when there has been none for a while. A file that breaks a limit
+ends the process, and a new process serves the next file. Results travel as values of the type that the function states (see
 `labkit.typed_file`), so even a process under an attacker's control cannot run code in this
 one.
 """
@@ -51,6 +51,9 @@ MEMORY_BYTES, MEMORY_A_BYTE = 2**31, 64
 BACKSTOP_S = 1800
 """Longest wall time, for decoders that wait without using the processor."""
 
+IDLE_S = 10.0
+"""A process that has no file for so long is ended: its libraries take 60 MB, and fits go on for minutes without it."""
+
 MOST_ANSWER_BYTES = 2**32
 
 LENGTH = struct.Struct("<Q")
@@ -82,6 +85,7 @@ def run_apart(
     with _lock:
         request = (function, args, kwargs, _allowed(path), _here())
         answer, arrays = _ask(pickle.dumps(request))
+        _end_when_idle()
     if "failed" in answer:
         _raise(answer)
     try:
@@ -129,6 +133,9 @@ class _Process:
             size = np.dtype(dtype).itemsize * prod(shape)
             arrays[name] = self._read(size, at).view(dtype).reshape(shape)
             at += size
+        os.ftruncate(
+            self._memory.fileno(), 0
+        )  # a frame would stay in memory until the next
         return answer, arrays
 
     def end(self) -> int:
@@ -181,6 +188,7 @@ class _Process:
 
 _lock = threading.Lock()
 _process: _Process | None = None
+_timer: threading.Timer | None = None
 _serving = False
 
 
@@ -220,6 +228,23 @@ def _raise(answer: dict[str, Any]) -> NoReturn:
     if name == OSError.__name__:
         raise OSError(int(answer["errno"]), text)
     raise SHARED_ERRORS.get(name, InputError)(text)
+
+
+def _end_when_idle() -> None:
+    """End the process in IDLE_S, unless it is asked before."""
+    global _timer
+    if _timer is not None:
+        _timer.cancel()
+    _timer = threading.Timer(IDLE_S, _end_idle)
+    _timer.daemon = True
+    _timer.start()
+
+
+def _end_idle() -> None:
+    with _lock:
+        # a request may have begun while this waited: its own timer follows
+        if threading.current_thread() is _timer:
+            _end()
 
 
 @atexit.register

@@ -2,7 +2,6 @@
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
 
 import numpy as np
 
@@ -12,7 +11,6 @@ from labkit.analysis.target_places import Places, of_one_place, places_in_frame
 from labkit.analysis.target_tiles import (
     TargetPart,
     cut_finding,
-    may_be_large,
     middle_part,
     target_parts,
 )
@@ -24,6 +22,7 @@ from labkit.calibration.calibrate import (
     calibrate,
     channel_data,
 )
+from labkit.calibration.needed import Needed
 from labkit.calibration.photon_transfer import (
     ROUNDING_VARIANCE,
     UNKNOWN_NOISE_STD,
@@ -67,7 +66,7 @@ LEAST_BRIGHT_SHARE = 0.5
 
 @dataclass(frozen=True)
 class _Shot:
-    """A decoded photograph of the target, with the corners of every tile that was found."""
+    """The part of a photograph that shows the target, with the corners (in the frame) of every tile that was found."""
 
     frame: Frame
     mosaic: Photograph
@@ -96,8 +95,8 @@ def observe(
 ) -> tuple[list[Observation], list[Finding]]:
     """Prepare observations of a session.
 
-    Photographs of one range and one place are in memory at a time. A single target is searched for in all photographs before,
-    where a range has several: it may be at several places of the frame. With `run` every target is.
+    The target is searched for in all photographs first. Of each photograph, dark and flat only the part that the target needs
+    is then kept: that of one range and one place at a time.
 
     Parameters
     ----------
@@ -124,28 +123,29 @@ def observe(
     for name in channels:
         as_shown(plan, target, name)
     groups = by_range(sorted(frames, key=lambda frame: frame.file)).values()
-    progress(0, len(groups), "calibrating by flats and darks")
-    calibration = calibrate(photographs, plan)
+    every = [frame for group in groups for frame in group]
+    known = _locate_each(every, plan, target, run, progress)
+    places, at_places = _places(groups, plan, known)
+    known |= places
+    needed = {group[0].range_mm: _needed(group, known) for group in groups}
+    calibration = calibrate(photographs, plan, needed, progress)
     grid = open_grid(plan.target)
     clear_mm = None if grid is None else grid.clear_mm
-    known = dict[str, Corners]()
-    if run is not None:
-        known = locate_all([*chain(*groups)], plan, target, run, progress)
-    places, at_places = _places(groups, plan, target, known, progress)
-    known |= places
     observations: list[Observation] = []
     sights = list[Sight]()
     together = [one for group in groups for one in of_one_place(group, places)]
-    early, parts, in_parts = _parts(together, plan, target, known)
-    findings = [*again, *calibration.findings, *at_places, *in_parts]
+    findings = [*again, *calibration.findings, *at_places]
+    parts = list[TargetPart]()
     for done, group in enumerate(together):
-        progress(done, len(together), "finding the target")
+        progress(done, len(together), "reading the target's photographs")
+        cut = _needed(group, known).cut
         shots = [
-            early.pop(frame.file)
-            if frame.file in early
-            else _shot(frame, plan, target, known.get(frame.file))
+            _Shot(frame, read_photograph(frame.path, plan.sensor, cut), known[frame.file])
             for frame in group
         ]
+        if done == 0:  # the nearest range, where the target is largest
+            parts, in_parts = _parts(shots, plan, target)
+            findings += in_parts
         sights += _sights(shots)
         regions, left_out = _regions(shots, plan, target, parts)
         findings += left_out
@@ -243,23 +243,17 @@ def selected(
 
 
 def _parts(
-    groups: Sequence[Sequence[Frame]],
-    plan: Plan,
-    target: Target,
-    known: Mapping[str, Corners],
-) -> tuple[dict[str, _Shot], list[TargetPart], list[Finding]]:
+    shots: Sequence[_Shot], plan: Plan, target: Target
+) -> tuple[list[TargetPart], list[Finding]]:
     """Return the parts of a single target that are fitted at all ranges, none if it is fitted whole, and a finding about them.
 
-    They are those of the nearest range, where the target is largest; its photographs are decoded for them, and returned.
+    shots : of the nearest range
     """
-    group = min(groups, key=lambda group: group[0].range_mm or 0.0)
-    if open_grid(plan.target) is not None or not may_be_large(plan, group[0].range_mm):
-        return {}, [], []
-    shots = [_shot(frame, plan, target, known.get(frame.file)) for frame in group]
+    if open_grid(plan.target) is not None:
+        return [], []
     corners = [at for shot in shots for at in shot.corners_px.values()]
-    parts = target_parts(corners, plan.field, target, shots[0].mosaic.shape)
-    early = {shot.frame.file: shot for shot in shots}
-    return early, parts, cut_finding(parts, corners[0], plan.field)
+    parts = target_parts(corners, plan.field, target, shots[0].mosaic.frame_px)
+    return parts, cut_finding(parts, corners[0], plan.field)
 
 
 def _regions(
@@ -269,7 +263,7 @@ def _regions(
 
     Observations are a grid's targets in all photographs, parts of a single target, or the whole target.
     """
-    shape = shots[0].mosaic.shape
+    shape = shots[0].mosaic.frame_px
     tiles = [
         tile for tile in shots[0].corners_px if all(tile in s.corners_px for s in shots)
     ]
@@ -306,10 +300,19 @@ def _registered(region: _Region, shots: Sequence[_Shot], target: Target) -> _Reg
     if region.part is None:
         return region
     corners = [
-        register_part(*one_colour(shot.mosaic), target, region.part, one)
+        _register_in(shot.mosaic, target, region.part, one)
         for shot, one in zip(shots, region.corners_px, strict=True)
     ]
     return replace(region, corners_px=corners)
+
+
+def _register_in(
+    photograph: Photograph, target: Target, part: TargetPart, corners: Floats
+) -> Floats:
+    """Return the target's corners in the frame by a part alone, in a photograph that may be a cut of the frame."""
+    counts, period = one_colour(photograph)
+    own = register_part(counts, period, target, part, corners - photograph.origin_px)
+    return own + photograph.origin_px
 
 
 def _cut_up(
@@ -323,32 +326,44 @@ def _cut_up(
         yield _Region(part.tile, corners, cut_within(inside, shape), part)
 
 
-def _places(
-    groups: Collection[Sequence[Frame]],
+def _locate_each(
+    frames: Sequence[Frame],
     plan: Plan,
     target: Target,
-    known: Mapping[str, Corners],
+    run: Run | None,
     progress: Progress,
+) -> dict[str, Corners]:
+    """Return the corners of every tile in each photograph by its file: as the plan states them, or as they are found."""
+    if (stated := plan.target.corners_px) is not None:
+        return {frame.file: {None: np.array(stated, float)} for frame in frames}
+    known = {} if run is None else locate_all(frames, plan, target, run, progress)
+    for done, frame in enumerate(frames):
+        if frame.file not in known:  # its process was killed: alone it has room
+            progress(done, len(frames), "finding the target")
+            known[frame.file] = _locate_alone(frame, plan, target)
+    return known
+
+
+def _locate_alone(frame: Frame, plan: Plan, target: Target) -> Corners:
+    """Return the corners in a photograph, whose frame is in memory meanwhile."""
+    whole = read_photograph(frame.path, plan.sensor)
+    return locate(whole, frame.file, frame.range_mm, plan, target)
+
+
+def _needed(group: Sequence[Frame], known: Mapping[str, Corners]) -> Needed:
+    """Return the part of the frame that holds every region of some photographs."""
+    return Needed.by_targets(at for one in group for at in known[one.file].values())
+
+
+def _places(
+    groups: Collection[Sequence[Frame]], plan: Plan, known: Mapping[str, Corners]
 ) -> tuple[Places, list[Finding]]:
     """Return the places of a single target in the frame; none for targets of which each photograph shows several tiles."""
     single = open_grid(plan.target) is None and not plan.field.cuts
     if not single or plan.target.corners_px is not None:
         return {}, []
-
-    def middle(frame: Frame) -> Floats:
-        at = known.get(frame.file) or _shot(frame, plan, target, None).corners_px
-        (corners,) = at.values()
-        return corners
-
-    return places_in_frame(groups, middle, progress)
-
-
-def _shot(frame: Frame, plan: Plan, target: Target, known: Corners | None) -> _Shot:
-    """Decode a photograph, and search for the target if its corners are not known."""
-    mosaic = read_photograph(frame.path, plan.sensor)
-    if known is None:
-        known = locate(mosaic, frame.file, frame.range_mm, plan, target)
-    return _Shot(frame, mosaic, known)
+    corners = {file: at for file, of in known.items() for at in of.values()}
+    return places_in_frame(groups, corners)
 
 
 def _of_region(
@@ -434,7 +449,7 @@ def _observation(
             int(frame.meta["homing"]) for frame in group if "homing" in frame.meta
         ),
         tile=region.tile,
-        photograph_px=first.shape[:2],
+        photograph_px=first.frame_px,
     )
     return observation, tuple(finding for part in data for finding in part.findings)
 

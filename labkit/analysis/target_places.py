@@ -6,14 +6,14 @@ tiles are groups of the middles of the targets as they are found, over all range
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import numpy as np
 
 from labkit.findings import Finding, found
 from labkit.key import Tile
 from labkit.session.frame import Frame
-from labkit.types import Floats, Progress
+from labkit.types import Floats
 
 SAME_PLACE = 0.5
 """Of the target's side: largest distance, along rows or columns, of the middles of targets at one place."""
@@ -24,25 +24,17 @@ Places = Mapping[str, Mapping[Tile | None, Floats]]
 
 
 def places_in_frame(
-    groups: Collection[Sequence[Frame]],
-    locate: Callable[[Frame], Floats],
-    progress: Progress,
+    groups: Collection[Sequence[Frame]], corners: Mapping[str, Floats]
 ) -> tuple[Places, list[Finding]]:
     """Return the places of a single target by photograph, and a finding about several places.
 
     Parameters
     ----------
-    groups : photographs of each range; none is searched where no range has several
-    locate : returns the corners (4, 2) of the target in a photograph
-    progress : called with the step under way
+    groups : photographs of each range; there is one place where no range has several
+    corners : (4, 2) of the target by photograph
     """
     if all(len(group) == 1 for group in groups):
         return {}, []
-    corners = dict[str, Floats]()
-    for done, group in enumerate(groups):
-        progress(done, len(groups), "finding the target")
-        for frame in group:
-            corners[frame.file] = locate(frame)
     tiles = tiles_by_place(corners, [[frame.file for frame in g] for g in groups])
     count = len(set(tiles.values()))
     places = {file: {tiles.get(file): at} for file, at in corners.items()}

@@ -6,32 +6,40 @@ the *model*: dividing them out of the data would falsify the noise (thesis §4.5
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from labkit.calibration.darks import dark_findings, reduce_darks
-from labkit.calibration.flats import Falloff, flat_findings, pixel_response, reduce_flats
+from labkit.calibration.flats import (
+    Falloff,
+    Flat,
+    flat_findings,
+    pixel_response,
+    reduce_flats,
+)
+from labkit.calibration.needed import EVERYTHING, Needed
 from labkit.calibration.photon_transfer import NoiseEstimate, photon_transfer
-from labkit.calibration.stack import read_stack
+from labkit.calibration.stack import Stacks
 from labkit.calibration.stated_noise import UNMEASURED, noise_findings, with_stated
 from labkit.errors import DataError
-from labkit.findings import Finding, each_once, flats_of_another_range
-from labkit.photographs.photograph import WHOLE, Cut, Photograph
+from labkit.findings import Finding, at_range, each_once, flats_of_another_range
+from labkit.photographs.photograph import WHOLE, Cut, Photograph, overlap
 from labkit.plan import Plan
 from labkit.session.frame import Frame
-from labkit.types import Bools, Floats, Floats32
+from labkit.types import Bools, Floats, Floats32, Progress, no_progress
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """Results of a session's darks and flats on the full raw grid of the sensor.
+    """Results of a session's darks and flats on the raw grid of the sensor, or of a box of it.
 
     offset: counts without light, None = as each file states; illumination: for each range
     with flats, NaN where unlit; response: relative to neighbours, with its posterior
     standard deviation (relative too); usable: neither hot nor dead; panel_seen: whether
-    flats show the panel's own pixels, which were removed.
+    flats show the panel's own pixels, which were removed. box: rows and columns of the
+    frame; frame_px: of the whole frame, None without darks and flats.
     """
 
     offset: Floats32 | None
@@ -42,6 +50,8 @@ class Calibration:
     noise: Mapping[str, NoiseEstimate]
     findings: tuple[Finding, ...]
     panel_seen: bool = False
+    box: Cut = WHOLE
+    frame_px: tuple[int, int] | None = None
 
     @property
     def light_known(self) -> bool:
@@ -71,24 +81,50 @@ class ChannelData:
     findings: tuple[Finding, ...]
 
 
-def calibrate(frames: Iterable[Frame], plan: Plan) -> Calibration:
+def calibrate(
+    frames: Iterable[Frame],
+    plan: Plan,
+    needed: Mapping[float | None, Needed] | None = None,
+    progress: Progress = no_progress,
+) -> Calibration:
     """Return the masters of a session's dark (or else bias) and flat frames.
 
-    A finding reports each assumption made for missing frames. plan: gives sensor and
-    channels. Each photograph is decoded once; memory holds the frames of one range at a
-    time. Raises RawError for a file that cannot be read, DataError for frames of different
-    sensors.
+    A finding reports each assumption made for missing frames. Each photograph is decoded
+    once; memory holds the needed pixels of one range at a time.
+
+    Parameters
+    ----------
+    frames : of the session
+    plan : gives sensor and channels
+    needed : what the target photographs of each range need; None for whole frames. Flats
+        are of light on the target: what they show elsewhere, a room, would bend the
+        illumination
+    progress : called with the step under way
+
+    Raises
+    ------
+    RawError : a file cannot be read
+    DataError : frames are of different sensors
     """
     names = [channel.name for channel in plan.channel]
     kinds: dict[str, list[Frame]] = {"dark": [], "bias": [], "flat": [], "target": []}
     for frame in frames:
         kinds[frame.kind].append(frame)
     unlit = kinds["dark"] or kinds["bias"]
-    dark = reduce_darks(read_stack(unlit, plan.sensor), names) if unlit else None
-    flats = {
-        range_mm: reduce_flats(read_stack(group, plan.sensor), names, dark)
-        for range_mm, group in by_range(kinds["flat"]).items()
-    }
+    groups = by_range(kinds["flat"])
+    needed = needed or {None: EVERYTHING}
+    of_flats = _needed_of_flats([*groups], needed)
+    box = Needed.by_all(needed.values()).cut
+    stacks = Stacks(plan.sensor)
+    steps = len(groups) + 1
+    progress(0, steps, "reading darks")
+    dark = reduce_darks(stacks.read(unlit, box), names) if unlit else None
+    flats: dict[float | None, Flat] = {}
+    for done, (range_mm, group) in enumerate(groups.items(), start=1):
+        progress(done, steps, f"reading flats{at_range(range_mm)}")
+        part = of_flats[range_mm]
+        stack = stacks.read(group, part.cut)
+        flats[range_mm] = reduce_flats(stack, names, dark, box, part)
     measured = {
         name: photon_transfer(
             [scatter for flat in flats.values() for scatter in flat.scatter[name]],
@@ -117,7 +153,21 @@ def calibrate(frames: Iterable[Frame], plan: Plan) -> Calibration:
             *noise_findings(measured, plan.channel),
         ),
         panel_seen=any(flat.panel is not None for flat in flats.values()),
+        box=box,
+        frame_px=stacks.frame_px,
     )
+
+
+def _needed_of_flats(
+    ranges_mm: Sequence[float | None], needed: Mapping[float | None, Needed]
+) -> dict[float | None, Needed]:
+    """Return what is needed of the flats of each range, by all ranges that they serve."""
+    served: dict[float | None, list[Needed]] = {range_mm: [] for range_mm in ranges_mm}
+    if ranges_mm:
+        for range_mm, part in needed.items():
+            served[_nearest(range_mm, ranges_mm)].append(part)
+    # the others' still show the gain and the pixels' response
+    return {mm: Needed.by_all(parts or needed.values()) for mm, parts in served.items()}
 
 
 def by_range(frames: Iterable[Frame]) -> dict[float | None, list[Frame]]:
@@ -139,13 +189,14 @@ def channel_data(
 ) -> ChannelData:
     """Return a channel of a photograph with its calibration.
 
-    mosaic: the photograph, decoded; cut: only these rows and columns of its pixels, both
-    starting at an even one. Raises RawError if the photograph lacks the channel, DataError
-    if its sensor differs from the calibration frames' or no pixel is usable.
+    mosaic: the photograph, decoded, or a part of it that holds the cut; cut: rows and
+    columns of the frame, both starting at an even one, within the calibration's box. Raises
+    RawError if the photograph lacks the channel, DataError if its sensor differs from the
+    calibration frames' or no pixel is usable.
     """
     _refuse_other_sensor(calibration, frame, mosaic)
     part = mosaic.part(channel, cut)
-    where = mosaic.where(channel, cut)
+    where = mosaic.where(channel, part.box, overlap(calibration.box, mosaic.frame_box))
     offset = part.black_map if calibration.offset is None else calibration.offset[where]
     factor = np.ones(part.counts.shape)
     falloff = np.ones(part.counts.shape)
@@ -153,10 +204,12 @@ def channel_data(
     findings = [*mosaic.notes, *calibration.findings]
     mask = part.channel_mask(channel) & ~part.saturated
     if calibration.illumination:
-        range_mm, taken = _nearest(frame, calibration.illumination)
-        findings += taken
-        factor *= calibration.illumination[range_mm][where]
-        falloff = Falloff.of(calibration.illumination[range_mm], mosaic.shape).at(cut)
+        range_mm = _nearest(frame.range_mm, [*calibration.illumination])
+        if range_mm != frame.range_mm:
+            findings.append(flats_of_another_range(frame.range_mm, range_mm))
+        illumination = calibration.illumination[range_mm]
+        factor *= illumination[where]
+        falloff = Falloff.of(illumination, mosaic.frame_px, calibration.box).at(part.box)
     if calibration.response is not None and calibration.response_std is not None:
         factor *= calibration.response[where]
         factor_std += calibration.response_std[where]
@@ -182,25 +235,18 @@ def channel_data(
 def _refuse_other_sensor(
     calibration: Calibration, frame: Frame, mosaic: Photograph
 ) -> None:
-    masters = [calibration.offset, calibration.response, *calibration.illumination.values()]
-    rows, cols = mosaic.shape
-    if any(
-        master is not None and master.shape != mosaic.counts.shape for master in masters
-    ):
+    if calibration.frame_px not in (None, mosaic.frame_px):
+        rows, columns = mosaic.frame_px
         raise DataError(
-            f"{frame.file} has {rows}×{cols} pixels, other than the session's darks and flats"
+            f"{frame.file} has {rows}×{columns} pixels, other than the session's darks and flats"
         )
 
 
-def _nearest(
-    frame: Frame, illumination: Mapping[float | None, Floats32]
-) -> tuple[float | None, list[Finding]]:
-    """Return the range whose flats serve a frame, and a finding if they are of another range."""
-    if frame.range_mm in illumination:
-        return frame.range_mm, []
-    known = [range_mm for range_mm in illumination if range_mm is not None]
-    if frame.range_mm is None or not known:
-        taken = next(iter(illumination))
-    else:
-        taken = min(known, key=lambda range_mm: abs(range_mm - (frame.range_mm or 0.0)))
-    return taken, [flats_of_another_range(frame.range_mm, taken)]
+def _nearest(range_mm: float | None, ranges_mm: Sequence[float | None]) -> float | None:
+    """Return the range whose flats serve a range."""
+    known = [mm for mm in ranges_mm if mm is not None]
+    if range_mm in ranges_mm:
+        return range_mm
+    if range_mm is None or not known:
+        return ranges_mm[0]
+    return min(known, key=lambda mm: abs(mm - range_mm))

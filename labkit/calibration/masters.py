@@ -30,6 +30,16 @@ ILLUMINATION_ORDER = 4
 ILLUMINATION_SMOOTHING_PX = 16.0
 """Standard deviation, in pixels of one plane, of the smoothing of what the polynomial leaves."""
 
+DISPLAY_DEPARTS = 0.1
+"""Relative difference of a flat from the light on the target, continued, beyond which it does not show the display: a
+polynomial that is continued over a target's margin errs by a per cent or two, what is beside a display by far more."""
+
+DISPLAY_ROUNDS = 4
+"""Of continuing the light as far as the display was found: corners beside a turned target are far from it."""
+
+MAJORITY_PX = 5
+"""Side, in pixels of one plane, of the neighbourhood whose majority decides where the display is: single pixels are defects."""
+
 LIT_SHARE = 0.25
 """A flat's brightness, as a share of its bright parts', below which the display does not reach."""
 
@@ -84,23 +94,29 @@ def shrunk(values: Floats, variance: Floats | float) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True, slots=True)
 class Illumination:
-    """Relative illumination of one plane (mean 1 where lit), its level in counts, and the lit pixels."""
+    """Light of one plane in counts, continued beyond the lit pixels; relative to its mean where lit; and the lit pixels."""
 
+    surface: Floats
     relative: Floats
     level: float
     lit: Bools
 
 
 def smooth_illumination(
-    flat: Floats, good: Bools, smooth_px: float = ILLUMINATION_SMOOTHING_PX
+    flat: Floats,
+    good: Bools,
+    smooth_px: float = ILLUMINATION_SMOOTHING_PX,
+    lit: Bools | None = None,
 ) -> Illumination:
     """Return the smooth part of a plane's mean flat.
 
     A robust polynomial of low order describes the fall-off, a wide Gaussian mean the rest.
     Pixel response stays out of both, being uncorrelated. flat: (rows, cols) counts with
-    black removed; good: usable pixels; smooth_px: of the Gaussian.
+    black removed; good: usable pixels; smooth_px: of the Gaussian; lit: by the display,
+    None where that is to be found.
     """
-    lit = _lit(flat, good)
+    if lit is None:
+        lit = _lit(flat, good)
     use = good & lit
     surface = _polynomial(flat, use)
     remainder = np.where(use, flat / surface, 0.0)
@@ -114,7 +130,37 @@ def smooth_illumination(
     )
     light = surface * np.where(weight > 1e-3, smooth, 1.0)
     level = float(light[use].mean())
-    return Illumination(np.where(lit, light / level, 1.0), level, lit)
+    return Illumination(light, np.where(lit, light / level, 1.0), level, lit)
+
+
+def display_around(flat: Floats, good: Bools, target: Bools) -> Bools:
+    """Return the pixels of a plane's mean flat that the display around a target lights.
+
+    The light on the target is continued: the display ends where a flat departs from it, to
+    a dark room or a bright one. flat, good: as of `smooth_illumination`; target: the pixels
+    that see it.
+    """
+    display = target
+    for _ in range(DISPLAY_ROUNDS):
+        light = smooth_illumination(flat, good, lit=display)
+        away = np.abs(flat / light.surface - 1)
+        usual = float(np.median(away[good & display]))
+        # a panel near enough to show its pixels departs everywhere, and its end is not seen
+        near = away < max(DISPLAY_DEPARTS, OUTLIER_SIGMAS * 1.4826 * usual)
+        among = ndimage.uniform_filter(good.astype(np.float64), MAJORITY_PX)
+        most = ndimage.uniform_filter((near & good).astype(np.float64), MAJORITY_PX)
+        found = joined_to(target, near & (most > 0.5 * among))
+        if np.array_equal(found, display) or not (found & good).any():
+            break
+        display = found
+    return display
+
+
+def joined_to(target: Bools, pixels: Bools) -> Bools:
+    """Return those of the pixels (rows, cols) that hang together with the target's."""
+    parts, _ = ndimage.label(pixels)
+    of_target = np.unique(parts[target & pixels])
+    return np.asarray(np.isin(parts, of_target))
 
 
 def _lit(flat: Floats, good: Bools) -> Bools:
@@ -161,24 +207,30 @@ def _polynomial(flat: Floats, use: Bools) -> Floats:
         trust = weight.ravel() / np.maximum(
             1.0, away / max(2 * spread, 1e-12)
         )  # Huber's weights
-    y, x = (np.linspace(-1, 1, n) for n in flat.shape)
-    surface = scale * np.tensordot(coefficients, _powers(y, x), axes=1)
+    # a product of matrices: every term's surface by itself would take fifteen times the memory
+    of_powers = np.zeros((ILLUMINATION_ORDER + 1, ILLUMINATION_ORDER + 1))
+    of_powers[tuple(np.transpose(_degrees()))] = coefficients
+    py, px = (_legendre(np.linspace(-1, 1, n)) for n in flat.shape)
+    surface = scale * (py.T @ of_powers @ px)
     # outside of the lit part a polynomial may do anything
     return np.asarray(np.maximum(surface, 0.02 * scale))
 
 
 def _powers(y: Floats, x: Floats) -> Floats:
     """Return (terms, rows, cols) products of Legendre polynomials up to the total degree."""
-    py, px = (np.polynomial.legendre.legvander(u, ILLUMINATION_ORDER).T for u in (y, x))
+    py, px = _legendre(y), _legendre(x)
+    return np.array([np.outer(py[i], px[j]) for i, j in _degrees()])
+
+
+def _legendre(u: Floats) -> Floats:
+    """Return (degrees, n) Legendre polynomials at places from -1 to 1."""
+    return np.asarray(np.polynomial.legendre.legvander(u, ILLUMINATION_ORDER).T)
+
+
+def _degrees() -> list[tuple[int, int]]:
+    """Return the degrees in row and column of each term."""
     degrees = range(ILLUMINATION_ORDER + 1)
-    return np.array(
-        [
-            np.outer(py[i], px[j])
-            for i in degrees
-            for j in degrees
-            if i + j <= ILLUMINATION_ORDER
-        ]
-    )
+    return [(i, j) for i in degrees for j in degrees if i + j <= ILLUMINATION_ORDER]
 
 
 def outliers(values: Floats, among: Bools, least: float = 0.0) -> Bools:

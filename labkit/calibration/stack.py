@@ -10,7 +10,7 @@ import numpy as np
 from labkit.calibration.photon_transfer import Scatter, scatter_of
 from labkit.errors import DataError
 from labkit.photographs.decoding import read_photograph
-from labkit.photographs.photograph import Photograph
+from labkit.photographs.photograph import WHOLE, Cut, Photograph
 from labkit.plan import Sensor
 from labkit.session.frame import Frame
 from labkit.types import Bools, Counts, Floats, Floats32
@@ -21,7 +21,7 @@ NOISE_PIXELS = 400_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stack:
-    """Frames of one kind.
+    """Frames of one kind, or a box of them.
 
     counts: (frames, rows, cols); first: the first frame, for the properties they share;
     saturated: (rows, cols) pixels saturated in any frame.
@@ -49,22 +49,43 @@ class Stack:
                 yield replace(found, variance=found.variance - rounding)
 
 
-def read_stack(frames: Sequence[Frame], sensor: Sensor) -> Stack:
-    """Read frames, each decoded once; beside the stack, memory holds one photograph at a time.
+class Stacks:
+    """Reads one stack after another, all of one sensor.
 
-    Raises RawError for a file that cannot be read, DataError for frames of different
-    sensors.
+    frame_px: (rows, columns) of every frame read so far, None before the first.
     """
-    first = read_photograph(frames[0].path, sensor)
-    counts = np.empty((len(frames), *first.counts.shape), dtype=np.uint16)
-    counts[0], saturated_pixels = first.counts, first.saturated
-    for place, frame in enumerate(frames[1:], start=1):
-        mosaic = read_photograph(frame.path, sensor)
-        if mosaic.counts.shape != first.counts.shape or mosaic.pattern != first.pattern:
-            size = "×".join(map(str, mosaic.shape))
+
+    def __init__(self, sensor: Sensor) -> None:
+        self._sensor = sensor
+        self._first = ""
+        self._pattern: tuple[str, ...] = ()
+        self.frame_px: tuple[int, int] | None = None
+
+    def read(self, frames: Sequence[Frame], cut: Cut = WHOLE) -> Stack:
+        """Read a cut of frames, each decoded once.
+
+        Raises RawError for a file that cannot be read, DataError for frames of different
+        sensors.
+        """
+        first = self._photograph(frames[0], cut)
+        counts = np.empty((len(frames), *first.counts.shape), dtype=np.uint16)
+        counts[0] = first.counts
+        saturated = first.saturated
+        for place, frame in enumerate(frames[1:], start=1):
+            photograph = self._photograph(frame, cut)
+            counts[place] = photograph.counts
+            saturated |= photograph.saturated
+        return Stack(counts, replace(first, counts=counts[0]), saturated)
+
+    def _photograph(self, frame: Frame, cut: Cut) -> Photograph:
+        photograph = read_photograph(frame.path, self._sensor, cut)
+        if self.frame_px is None:
+            self._first = frame.file
+            self._pattern = photograph.pattern
+            self.frame_px = photograph.frame_px
+        if (photograph.frame_px, photograph.pattern) != (self.frame_px, self._pattern):
+            size = "×".join(map(str, photograph.frame_px))
             raise DataError(
-                f"{frame.file} is of another sensor than {frames[0].file}: {size} pixels, {mosaic.cfa}"
+                f"{frame.file} is of another sensor than {self._first}: {size} pixels, {photograph.cfa}"
             )
-        counts[place] = mosaic.counts
-        saturated_pixels |= mosaic.saturated
-    return Stack(counts, replace(first, counts=counts[0]), saturated_pixels)
+        return photograph

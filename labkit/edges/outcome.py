@@ -249,7 +249,7 @@ def grey_picture(image: Path, plan: Plan) -> Floats:
     """Return the grey picture (rows, columns) of a photograph, about 0 to 1, that measurements are drawn over."""
     photograph = read_photograph(image, plan.sensor)
     try:
-        return grey_image(photograph.light, photograph.pattern)
+        return np.asarray(grey_image(photograph.light, photograph.pattern), np.float64)
     except TargetError:  # nearly even
         rows, columns = photograph.shape
         return np.asarray(photograph.light[:rows, :columns] / photograph.full_light)

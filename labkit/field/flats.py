@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 
 import numpy as np
@@ -12,7 +12,7 @@ from labkit.field.illumination import RelativeIllumination, measure_illumination
 from labkit.key import same_range
 from labkit.photographs.decoding import read_photograph
 from labkit.photographs.photograph import Photograph
-from labkit.plan.sensor import places_of
+from labkit.plan.sensor import IN_COLOURS, places_of
 from labkit.results import Results
 from labkit.session.session import Session
 from labkit.types import Floats
@@ -29,31 +29,34 @@ def session_illumination(results: Results) -> dict[str, RelativeIllumination]:
         flats = [f for f in flats if same_range(f.range_mm, range_mm)] or flats
         darks = [frame for frame in frames if frame.kind == "dark"]
         pictures, dark = (
-            [read_photograph(frame.path, results.plan.sensor) for frame in of]
+            (read_photograph(frame.path, results.plan.sensor) for frame in of)
             for of in (flats, darks)
         )
+        pitch_um = results.plan.sensor.pixel_pitch_um
+        return illumination(pictures, dark, results.channels, pitch_um)
     except (LabkitError, OSError, IndexError):
         return {}
-    pitch_um = results.plan.sensor.pixel_pitch_um
-    return illumination(pictures, dark, results.channels, pitch_um)
 
 
 def illumination(
-    flats: Sequence[Photograph],
-    darks: Sequence[Photograph],
+    flats: Iterable[Photograph],
+    darks: Iterable[Photograph],
     channels: Sequence[str],
     pitch_um: float,
 ) -> dict[str, RelativeIllumination]:
-    """Return the light over the frame of each channel that the flats light enough; empty for pictures in colours."""
-    if not flats or flats[0].counts.shape != flats[0].shape:
+    """Return the light over the frame of each channel that the flats light enough; empty for pictures in colours.
+
+    Of photographs that are read one by one, one is in memory at a time.
+    """
+    light, pattern = _mean_light(flats)
+    if light is None or pattern == IN_COLOURS:
         return {}
-    light = _mean_light(flats)
-    if darks:
-        light = light - _mean_light(darks)
+    dark, _ = _mean_light(darks)
+    if dark is not None:
+        light -= dark
     found = dict[str, RelativeIllumination]()
-    pattern = flats[0].pattern
+    every = len(pattern)
     for channel in channels:
-        every = len(pattern)
         places = places_of(pattern, channel)
         planes = [(slice(y, None, every), slice(x, None, every)) for y, x in places]
         with suppress(ValueError):  # hardly lit
@@ -61,9 +64,22 @@ def illumination(
     return found
 
 
-def _mean_light(pictures: Sequence[Photograph]) -> Floats:
-    """Return the mean counts above black (rows, columns); nan where any is saturated."""
-    total = np.zeros(pictures[0].shape)
-    for picture in pictures:
-        total += np.where(picture.saturated, np.nan, picture.light)
-    return np.asarray(total / len(pictures))
+def _mean_light(
+    photographs: Iterable[Photograph],
+) -> tuple[Floats | None, tuple[str, ...]]:
+    """Return the mean counts above black (rows, columns), nan where any is saturated, and the pattern; None of nothing."""
+    total: Floats | None = None
+    pattern: tuple[str, ...] = ()
+    count = 0
+    for photograph in photographs:
+        light = photograph.light
+        light[photograph.saturated] = np.nan
+        if total is None:
+            total = light
+        else:
+            total += light
+        pattern = photograph.pattern
+        count += 1
+    if total is not None:
+        total /= count
+    return total, pattern

@@ -14,11 +14,12 @@ import numpy as np
 from scipy import ndimage
 
 from labkit.calibration.masters import outliers, smooth_illumination
-from labkit.calibration.stack import Stack, read_stack
+from labkit.calibration.stack import Stack, Stacks
 from labkit.errors import DataError, shown
+from labkit.photographs.photograph import Cut
 from labkit.plan import Sensor
 from labkit.session.frame import Frame
-from labkit.types import Bools, Floats, Progress
+from labkit.types import Bools, Floats, Floats32, Progress
 from labkit.uncertain import Uncertain
 
 LEAST_EVEN = 0.9
@@ -97,7 +98,7 @@ class _Pixels:
 class _Offset:
     """counts: (rows, cols) to subtract; variance: of their own temporal noise."""
 
-    counts: Floats
+    counts: Floats32
     variance: float
 
 
@@ -119,7 +120,7 @@ def read_series(
     for done, group in enumerate(darks, start=1):
         progress(done, total, f"reading darks of {group.exposure_s:g} s")
         stack = _stack(group, sensor)
-        black = _Offset(stack.first.black_map, 0.0)
+        black = _Offset(stack.first.black_map.astype(np.float32), 0.0)
         for name in channels:
             dark_levels[name].append(_level(group, stack, pixels[name], black))
     levels: dict[str, list[Level]] = {name: [] for name in channels}
@@ -132,7 +133,7 @@ def read_series(
         if not _same(darks[k].exposure_s, group.exposure_s):
             missing.append(group.exposure_s)
         if k != offset_of:
-            offset = _mean(read_stack(darks[k].frames, sensor))
+            offset = _mean_counts(Stacks(sensor).read(darks[k].frames))
             offset_of = k
         stack = _stack(group, sensor)
         for name in channels:
@@ -152,10 +153,9 @@ def read_series(
 
 def _hot(darks: Stack) -> Bools:
     """Return the (rows, cols) pixels that are much brighter than others without light."""
-    mean = _mean(darks)
-    hot = np.zeros(mean.shape, dtype=np.bool_)
+    hot = np.zeros(darks.saturated.shape, dtype=np.bool_)
     for plane in darks.first.every_plane:
-        values = mean[plane]
+        values = _mean(darks, plane)
         hot[plane] = outliers(values, np.ones(values.shape, dtype=np.bool_), least=1.0)
     return hot
 
@@ -245,10 +245,10 @@ def _even_light(
             f"all flats are clipped, those of {group.exposure_s:g} s too: take flats of shorter exposures, "
             "or with less light"
         )
-    light = _mean(stack) - stack.first.black_map
     for name in channels:
         for plane in stack.first.planes(name):
-            even = smooth_illumination(light[plane], ~stack.saturated[plane])
+            light = _mean(stack, plane) - stack.first.black_of(plane)
+            even = smooth_illumination(light, ~stack.saturated[plane])
             relative = np.where(even.lit, even.relative, 0.0)
             masks[name][plane] = relative > LEAST_EVEN * np.percentile(relative, 99)
     return masks, stack.first.full_light
@@ -256,7 +256,7 @@ def _even_light(
 
 def _stack(group: _Group, sensor: Sensor) -> Stack:
     """Read the frames of a level. Raises DataError for processed pictures and copies of a frame."""
-    stack = read_stack(group.frames, sensor)
+    stack = Stacks(sensor).read(group.frames)
     first = group.frames[0]
     if stack.first.tone is not None:
         raise DataError(
@@ -272,20 +272,30 @@ def _stack(group: _Group, sensor: Sensor) -> Stack:
     return stack
 
 
-def _mean(stack: Stack) -> Floats:
-    return np.asarray(stack.counts.mean(axis=0, dtype=np.float64))
+def _mean(stack: Stack, plane: Cut) -> Floats:
+    """Return the mean counts of a plane: of a whole frame these numbers would fill a fifth of a gigabyte."""
+    return np.asarray(stack.counts[(slice(None), *plane)].mean(axis=0, dtype=np.float64))
+
+
+def _mean_counts(stack: Stack) -> Floats32:
+    mean = np.empty(stack.saturated.shape, dtype=np.float32)
+    for plane in stack.first.every_plane:
+        mean[plane] = _mean(stack, plane)
+    return mean
 
 
 def _level(group: _Group, stack: Stack, used: _Pixels, offset: _Offset) -> Level:
-    light = _mean(stack) - offset.counts
     where = used.steady
     means = np.array([counts[where].mean() for counts in stack.counts])
-    means -= offset.counts[where].mean()
+    means -= offset.counts[where].mean(dtype=np.float64)
     lit = group.frames[0].kind == "flat" and bool(means.min() > 0)
     pairs = next(stack.scatter(where, offset.counts, lit=lit))
     variance = float(pairs.variance.mean())
     pixels = int(np.count_nonzero(where))
-    planes = [(light[p], used.every[p]) for p in stack.first.planes(used.name)]
+    planes = [
+        (_mean(stack, plane) - offset.counts[plane], used.every[plane])
+        for plane in stack.first.planes(used.name)
+    ]
     rough = np.concatenate([_high_pass(*plane) for plane in planes])
     whole = np.concatenate([values[at] - values[at].mean() for values, at in planes])
     temporal = variance / len(means) + offset.variance

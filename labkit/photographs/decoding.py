@@ -14,7 +14,7 @@ import numpy as np
 from labkit.apart import run_apart
 from labkit.errors import InputError, RawError
 from labkit.photographs.container import Container, recognise
-from labkit.photographs.photograph import Photograph
+from labkit.photographs.photograph import WHOLE, Cut, Photograph
 from labkit.photographs.picture_file import Numbers
 from labkit.photographs.processed_picture import (
     is_processed,
@@ -25,25 +25,26 @@ from labkit.plan import Sensor
 from labkit.plan.sensor import pattern_of
 
 
-def read_photograph(path: Path, sensor: Sensor) -> Photograph:
-    """Read a photograph.
+def read_photograph(path: Path, sensor: Sensor, cut: Cut = WHOLE) -> Photograph:
+    """Read a photograph, or a cut of it: the rest of the frame never comes into this process.
 
     Parameters
     ----------
     path : the file
     sensor : what the file may not state
+    cut : rows and columns to return, from even ones on, as far as the frame reaches
 
     Raises
     ------
     RawError : the file is missing, truncated or no photograph, or contradicts `sensor`; the message names the file
     """
     try:
-        return run_apart(_read, path, sensor)
+        return run_apart(_read, path, sensor, cut)
     except InputError as error:
         raise RawError(f"{path}: {error}") from error.__cause__
 
 
-def _read(path: Path, sensor: Sensor) -> Photograph:
+def _read(path: Path, sensor: Sensor, cut: Cut) -> Photograph:
     if sensor.headerless_px is not None:
         numbers = _headerless(path, sensor.headerless_px)
         photograph = _bare(numbers, Container("headerless"), sensor)
@@ -59,7 +60,7 @@ def _read(path: Path, sensor: Sensor) -> Photograph:
     else:
         raise RawError(f"holds {picture.bits} bit numbers: allowed are 8 and 16 bit")
     _refuse_contradiction(photograph, sensor)
-    return photograph
+    return photograph if cut == WHOLE else photograph.cropped(cut)
 
 
 def _headerless(path: Path, shape: tuple[int, int]) -> Numbers:

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.fft
 
 from labkit.photographs.photograph import WHOLE, Cut, Photograph
-from labkit.types import Counts, Floats, Floats32, FrameKind
+from labkit.types import Counts, FrameKind
 
 SATURATED_SHARE = 0.2
 """Share of a colour's bright pixels (above half scale) that are saturated if its white is clipped. An unclipped white
@@ -40,7 +40,7 @@ def difference(photograph: Photograph, first: Photograph) -> str | None:
     this, that = (
         {
             "camera": of.camera or "unknown",
-            "size": "×".join(map(str, of.shape)),
+            "size": "×".join(map(str, of.frame_px)),
             "filter array": of.cfa,
             "white level": f"{of.white:g}",
             "tone curve": "none" if of.tone is None else of.tone.name,
@@ -96,8 +96,11 @@ def _plane_problem(photograph: Photograph, kind: FrameKind, where: Cut) -> str |
 
 def pixel_noise(plane: Counts) -> float:
     """Return the standard deviation of one pixel's noise where the picture is smoothest, at least that of rounding."""
-    differences = np.abs(np.diff(plane.astype(np.float64), axis=1))
-    smoothest = np.quantile([np.median(tile) for tile in _tiles(differences)], 0.1)
+    levels = [
+        np.median(np.abs(np.diff(tile.astype(np.float64), axis=1)))
+        for tile in _tiles(plane)
+    ]
+    smoothest = np.quantile(levels, 0.1)
     return float(max(smoothest / 0.6745 / np.sqrt(2), ROUNDING_STD))
 
 
@@ -108,7 +111,8 @@ def aperiodic_noise(plane: Counts) -> float:
     mean. Within a tenth for flats, too large where a picture has structure of all sizes.
     """
     levels = []
-    for tile in _tiles(plane.astype(np.float32)):
+    for counts in _tiles(plane):
+        tile = counts.astype(np.float32)
         window = np.outer(*(np.hanning(n + 2)[1:-1] for n in tile.shape))
         power = np.abs(scipy.fft.rfft2((tile - tile.mean()) * window)) ** 2 / np.sum(
             window**2
@@ -117,12 +121,12 @@ def aperiodic_noise(plane: Counts) -> float:
     return float(max(np.sqrt(np.quantile(levels, 0.1)), ROUNDING_STD))
 
 
-def _tiles(values: Floats | Floats32) -> list[Floats | Floats32]:
+def _tiles(plane: Counts) -> list[Counts]:
     rows, cols = (
-        max(1, min(MOST_NOISE_TILES, size // LEAST_NOISE_TILE_PX)) for size in values.shape
+        max(1, min(MOST_NOISE_TILES, size // LEAST_NOISE_TILE_PX)) for size in plane.shape
     )
     return [
         part
-        for band in np.array_split(values, rows)
+        for band in np.array_split(plane, rows)
         for part in np.array_split(band, cols, axis=1)
     ]

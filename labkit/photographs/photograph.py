@@ -6,6 +6,7 @@ mosaic with a cell of one row and three columns for each pixel.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,6 +25,32 @@ SATURATION_MARGIN = 0.01
 """Distance below the white level, relative to white less black, within which noise is clipped."""
 
 
+def overlap(cut: Cut, box: Cut) -> Cut:
+    """Return the part of a cut of a frame that is in a box of the frame."""
+    rows, columns = (
+        slice(
+            start := max(part.start or 0, side.start),
+            max(start, side.stop if part.stop is None else min(part.stop, side.stop)),
+        )
+        for part, side in zip(cut, box, strict=True)
+    )
+    return rows, columns
+
+
+def spanned(cuts: Iterable[Cut]) -> Cut:
+    """Return the smallest box that holds all cuts, with an open end where one of them has that."""
+    rows, columns = (
+        slice(
+            min(part.start for part in parts),
+            None
+            if any(part.stop is None for part in parts)
+            else max(part.stop for part in parts),
+        )
+        for parts in zip(*cuts, strict=True)
+    )
+    return rows, columns
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Photograph:
     """A photograph as the sensor recorded it, in the sensor's orientation.
@@ -38,6 +65,8 @@ class Photograph:
     tone : tone curve that was undone in `counts`; None for counts as in the file
     notes : findings about the origin of the counts
     compressed : whether the file is a JPEG
+    origin_px : (row, column) in the frame of the first pixel of `counts`, both even
+    whole_px : (rows, columns) of the frame where `counts` are a cut of it; None for a whole frame
     """
 
     counts: Counts
@@ -50,12 +79,31 @@ class Photograph:
     tone: ToneCurve | None = None
     notes: tuple[Finding, ...] = ()
     compressed: bool = False
+    origin_px: tuple[int, int] = (0, 0)
+    whole_px: tuple[int, int] | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
-        """(rows, cols) of pixels."""
+        """(rows, cols) of pixels of `counts`."""
         rows, cols = self.counts.shape
         return rows, cols // len(IN_COLOURS[0]) if self.pattern == IN_COLOURS else cols
+
+    @property
+    def frame_px(self) -> tuple[int, int]:
+        """(rows, columns) of pixels of the whole frame."""
+        return self.whole_px or self.shape
+
+    @property
+    def frame_box(self) -> Cut:
+        """Rows and columns of the whole frame."""
+        rows, columns = self.frame_px
+        return slice(0, rows), slice(0, columns)
+
+    @property
+    def box(self) -> Cut:
+        """Rows and columns of the frame that `counts` show."""
+        (row, column), (rows, columns) = self.origin_px, self.shape
+        return slice(row, row + rows), slice(column, column + columns)
 
     @property
     def cfa(self) -> str:
@@ -71,7 +119,10 @@ class Photograph:
     @property
     def light(self) -> Floats:
         """(rows, cols) counts above black."""
-        return self.counts - self.black_map
+        light = self.counts.astype(np.float64)
+        for plane, black in self._blacks():
+            light[plane] -= black
+        return light
 
     @property
     def full_light(self) -> float:
@@ -81,8 +132,18 @@ class Photograph:
     @property
     def saturated(self) -> Bools:
         """(rows, cols) True where a count is at the white level, or so near that its noise is clipped."""
-        range_ = self.white - self.black_map
-        return np.asarray(self.counts >= self.white - SATURATION_MARGIN * range_)
+        saturated = np.empty(self.counts.shape, dtype=np.bool_)
+        for plane, black in self._blacks():
+            limit = self.white - SATURATION_MARGIN * (self.white - black)
+            saturated[plane] = self.counts[plane] >= limit
+        return saturated
+
+    def _blacks(self) -> Iterator[tuple[Cut, float]]:
+        """Yield slices of counts and the black level of each place of the cell: no map of a whole frame is made."""
+        high, wide = self.black.shape
+        for row, column in np.ndindex(high, wide):
+            plane = slice(row, None, high), slice(column, None, wide)
+            yield plane, float(self.black[row, column])
 
     @property
     def rounding_variance(self) -> Floats:
@@ -129,24 +190,53 @@ class Photograph:
         """Return the pixels of a channel; RawError for a colour that the filter array lacks."""
         return channel_pixels(self.pattern, name)
 
-    def where(self, name: str, cut: Cut) -> Cut:
-        """Return slices of counts for a colour in a cut of pixels: its plane of a picture in colours, else the cut."""
+    def where(self, name: str, cut: Cut, box: Cut) -> Cut:
+        """Return slices as `slices` does, for a colour: its own plane of a picture in colours."""
+        rows, columns = self.slices(cut, box)
         if self.pattern != IN_COLOURS:
-            return cut
-        rows, cols = cut
-        ((_, col),), wide = places_of(self.pattern, name), len(IN_COLOURS[0])
-        stop = None if cols.stop is None else wide * cols.stop
-        return rows, slice(wide * (cols.start or 0) + col, stop, wide)
+            return rows, columns
+        ((_, column),) = places_of(self.pattern, name)
+        return rows, slice(columns.start + column, columns.stop, len(IN_COLOURS[0]))
+
+    def cropped(self, cut: Cut) -> Photograph:
+        """Return a copy of a cut of the frame, from an even row and column on."""
+        rows, columns = inside = overlap(cut, self.box)
+        return replace(
+            self,
+            counts=self.counts[self.slices(inside, self.box)].copy(),
+            origin_px=(rows.start, columns.start),
+            whole_px=self.frame_px,
+        )
+
+    def array_shape(self, box: Cut) -> tuple[int, int]:
+        """Return the shape of an array that shows a box of the frame as `counts` do."""
+        rows, columns = self.slices(box, box)
+        return rows.stop, columns.stop
+
+    def slices(self, cut: Cut, box: Cut) -> Cut:
+        """Return slices of an array that shows a box of the frame as `counts` do, for the pixels of a cut in the box."""
+        rows, columns = (
+            slice(part.start - side.start, part.stop - side.start)
+            for part, side in zip(cut, box, strict=True)
+        )
+        wide = len(IN_COLOURS[0]) if self.pattern == IN_COLOURS else 1
+        return rows, slice(wide * columns.start, wide * columns.stop)
 
     def part(self, name: str, cut: Cut = WHOLE) -> Photograph:
-        """Return a cut of pixels from an even row and column on; for a picture in colours the requested colour only, as mono.
+        """Return a cut of the frame from an even row and column on; of a picture in colours one colour only, as mono.
 
         Raises RawError for a colour that the filter array lacks.
         """
-        counts = self.counts[self.where(name, cut)]
+        rows, columns = inside = overlap(cut, self.box)
+        this = replace(
+            self,
+            counts=self.counts[self.where(name, inside, self.box)],
+            origin_px=(rows.start, columns.start),
+            whole_px=self.frame_px,
+        )
         if self.pattern != IN_COLOURS:
-            return replace(self, counts=counts)
+            return this
         ((_, plane),) = places_of(self.pattern, name)
         black = np.full((2, 2), self.black[0, plane])
         tone = self.tone.of(plane) if self.tone else None
-        return replace(self, counts=counts, black=black, pattern=MONO, tone=tone)
+        return replace(this, black=black, pattern=MONO, tone=tone)

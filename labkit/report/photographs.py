@@ -180,16 +180,11 @@ def _preview(path: Path | None, results: Results) -> dict[str, Any]:
     except (LabkitError, OSError):
         return {}
     rows, cols = mosaic.shape
-    counts = (
-        mosaic.counts
-        if mosaic.counts.shape == mosaic.shape
-        else mosaic.counts.reshape(rows, cols, -1).mean(axis=2)
-    )
     block = max(2, 2 * -(-max(rows, cols) // (2 * REPORT_PREVIEW_PX)))
-    cut = counts[: rows // block * block, : cols // block * block].astype(np.float32)
-    small = cut.reshape(cut.shape[0] // block, block, cut.shape[1] // block, block).mean(
-        axis=(1, 3)
-    )
+    down, across = rows // block, cols // block
+    wide = mosaic.counts.shape[1] // cols * block
+    cut = mosaic.counts[: down * block, : across * wide]
+    small = cut.reshape(down, block, across, wide).mean(axis=(1, 3), dtype=np.float32)
     low, high = np.quantile(small, [0.002, 0.998])
     shown = np.clip((small - low) / max(high - low, 1e-9), 0, 1) ** (1 / 2.2)
     return {"preview": shown, "preview_px": block, "size_px": (rows, cols)}

@@ -12,7 +12,7 @@ from labkit.calibration.calibrate import Calibration, channel_data
 from labkit.errors import DataError
 from labkit.photographs.decoding import read_photograph
 from labkit.photographs.exif import Exif, read_exif
-from labkit.photographs.photograph import Photograph
+from labkit.photographs.photograph import WHOLE, Cut, Photograph
 from labkit.plan import Plan
 from labkit.plan.sensor import IN_COLOURS
 from labkit.restoration.job import Area, Exposure
@@ -28,8 +28,9 @@ LEAST_PX = 16  # side of a photograph, or of an area of it
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """An exposure of the scene, the whole photograph, and the share of clipped pixels.
+    """An exposure of the scene, and the share of clipped pixels.
 
+    photograph : without its pixels, for what it says of the sensor
     origin : (row, column) of the area's first pixel
     """
 
@@ -65,36 +66,44 @@ def read_shot(
     RawError : the file cannot be read
     DataError : it is demosaiced, or the area is too small
     """
-    photograph = read_photograph(path, plan.sensor)
+    photograph = read_photograph(path, plan.sensor, area_to_read(area))
     if photograph.pattern == IN_COLOURS:
         raise DataError(
             f"{path.name} is demosaiced: to restore, give the raw file that it was made of"
         )
     cells = _whole_cells(photograph, area, path)
+    photograph = photograph.cropped(cells)
     saturated = photograph.saturated
     if frame is None or calibration is None:
-        counts = photograph.light
+        counts = photograph.light.astype(np.float32)
         used = ~saturated
-        light = np.ones(saturated.shape)
+        light = np.ones(saturated.shape, np.float32)
     else:
-        counts = np.zeros(saturated.shape)
-        light = np.ones(saturated.shape)
+        counts = np.zeros(saturated.shape, np.float32)
+        light = np.ones(saturated.shape, np.float32)
         used = np.zeros(saturated.shape, bool)
         for name in names:
-            data = channel_data(calibration, frame, photograph, name)
+            data = channel_data(calibration, frame, photograph, name, cells)
             here = photograph.channel_mask(name)
             counts[here], light[here] = data.counts[here], data.illumination[here]
             used |= data.mask
-    exposure = Exposure(
-        counts[cells].astype(np.float32), used[cells], light[cells].astype(np.float32)
-    )
-    clipped = float(saturated[cells].mean())
-    return Shot(exposure, photograph, clipped, (cells[0].start, cells[1].start))
+    without_pixels = photograph.cropped((slice(0, 0), slice(0, 0)))
+    clipped = float(saturated.mean())
+    origin = (cells[0].start, cells[1].start)
+    return Shot(Exposure(counts, used, light), without_pixels, clipped, origin)
+
+
+def area_to_read(area: Area | None) -> Cut:
+    """Return what is read of a photograph for an area: from an even row and column on, where a cell begins."""
+    if area is None:
+        return WHOLE
+    rows, columns = (slice(max(part.start, 0) // 2 * 2, part.stop) for part in area)
+    return rows, columns
 
 
 def _whole_cells(photograph: Photograph, area: Area | None, path: Path) -> Area:
     """Reduce an area, or all, to whole cells. Raises DataError for an area outside the photograph, or too small."""
-    rows, columns = photograph.shape
+    rows, columns = photograph.frame_px
     high, wide = area or (slice(0, rows), slice(0, columns))
     inside = 0 <= high.start < high.stop <= rows and 0 <= wide.start < wide.stop <= columns
     if not inside:

@@ -14,6 +14,7 @@ import numpy as np
 
 from labkit.analysis.measured_camera import optics_behind
 from labkit.calibration.calibrate import calibrate
+from labkit.calibration.needed import Needed
 from labkit.errors import DataError
 from labkit.execute import Workers
 from labkit.key import same_range
@@ -23,7 +24,12 @@ from labkit.restoration import output
 from labkit.restoration.blind import SPAN_WAVES, fitted_defocus
 from labkit.restoration.canvas import Canvas
 from labkit.restoration.colours import colour_coupling
-from labkit.restoration.exposures import Shot, read_shot, refuse_other_camera
+from labkit.restoration.exposures import (
+    Shot,
+    area_to_read,
+    read_shot,
+    refuse_other_camera,
+)
 from labkit.restoration.job import Area, Colour, Job, begun_at
 from labkit.restoration.lens import nearest, waves_at
 from labkit.restoration.noise import with_own_noise
@@ -147,7 +153,8 @@ def restore_session(
         )
     plan = results.plan
     names = wanted.channels or results.channels
-    calibration = calibrate(session.frames, plan)
+    needed = {range_mm: Needed(area_to_read(wanted.crop))}
+    calibration = calibrate(session.frames, plan, needed)
     shots = [read_shot(f.path, plan, wanted.crop, names, f, calibration) for f in frames]
     return _restore(shots, results, range_mm, out, wanted, say, progress)
 

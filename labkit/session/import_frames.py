@@ -271,7 +271,7 @@ def _check_photographs(
             problems.append((str(error), str(error).replace(str(row.path), "")))
             continue
         if first is None:
-            first = mosaic
+            first = mosaic.cropped((slice(0, 0), slice(0, 0)))  # its pixels are in the way
             if wrong := _channel_problem(mosaic, plan):
                 raise DataError(f"{csv_path}: {row.file}: {wrong}")
         lit = row.kind == "target" or (row.kind == "flat" and not series)

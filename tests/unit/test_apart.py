@@ -7,6 +7,7 @@ import select
 import signal
 import struct
 import sys
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -101,6 +102,20 @@ def test_a_fault_is_one_line_and_the_next_file_is_read(
         run_apart(function, FILE)
     assert str(caught.value).startswith(words)
     assert run_apart(made, FILE).numbers.size == 3
+
+
+def test_a_process_without_files_ends_and_another_serves_the_next(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(apart, "IDLE_S", 0.05)
+    first = run_apart(made, FILE).process
+    for _ in range(200):
+        if apart._process is None:
+            break
+        time.sleep(0.05)
+    with pytest.raises(ProcessLookupError):
+        os.kill(first, 0)
+    assert run_apart(made, FILE).process != first
 
 
 def test_errors_keep_their_kind() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,11 +13,12 @@ import tifffile
 
 from labkit.calibration.calibrate import Calibration, ChannelData, calibrate, channel_data
 from labkit.calibration.masters import clipped_mean, shrunk, smooth_illumination
+from labkit.calibration.needed import Needed
 from labkit.errors import DataError, RawError
 from labkit.findings import Finding
 from labkit.photographs.decoding import read_photograph
 from labkit.session.frame import Frame
-from labkit.types import Floats
+from labkit.types import Floats, FrameKind
 from tests.sensor import COLOURS, GAIN, PRNU, READ_NOISE, SHAPE, Bench, light_at
 
 
@@ -198,6 +200,104 @@ def test_what_the_display_does_not_reach_is_not_used(bench: Bench) -> None:
     ratio = (data.illumination / light_at(2000.0) / bench.sensor.response)[data.mask]
     assert ratio.std() / ratio.mean() < 0.005
     assert "flats-partly-unlit" in codes(data.findings)
+
+
+CUT = (slice(20, 150), slice(40, 190))
+CORNERS = np.array([[30.0, 50.0], [30, 170], [130, 170], [130, 50]])
+
+
+def cut_frames(bench: Bench) -> list[Frame]:
+    """The session's photographs, of which only the cut was kept."""
+    cut = []
+    for frame in bench.session.frames:
+        path = bench.folder / f"cut_{frame.file}"
+        tifffile.imwrite(path, tifffile.imread(frame.path)[CUT])
+        cut.append(replace(frame, path=path))
+    return cut
+
+
+def test_a_part_is_calibrated_as_if_the_camera_had_seen_it_alone(bench: Bench) -> None:
+    bench.usual(frames=3)
+    frame = bench.add("target", 2200.0, 15000 * light_at(2200.0))
+    plan = bench.session.plan
+    part = Needed(CUT, (CORNERS,))
+    found = calibrate(bench.session.frames, plan, {2000.0: part, 2200.0: part})
+    alone = [*cut_frames(bench)]
+    origin = np.array([CUT[0].start, CUT[1].start])
+    whole = (slice(0, 130), slice(0, 150))
+    same = Needed(whole, (CORNERS - origin,))
+    expected = calibrate(alone, plan, {2000.0: same, 2200.0: same})
+    assert found.noise == expected.noise
+    data = channel_data(
+        found, frame, read_photograph(frame.path, plan.sensor, CUT), "G", CUT
+    )
+    crop = read_photograph(alone[-1].path, plan.sensor)
+    truth = channel_data(expected, alone[-1], crop, "G", whole)
+    for name in ("counts", "mask", "illumination", "relative_std"):
+        np.testing.assert_array_equal(getattr(data, name), getattr(truth, name))
+    assert found.response is not None
+    assert found.response.shape == (130, 150)
+
+
+def test_a_room_around_the_display_changes_nothing(bench: Bench) -> None:
+    bench.add("dark", None, 0.0, 4)
+    y, x = np.indices(SHAPE)
+    room = 14000 * (1 + np.sin(x / 9) * np.cos(y / 7))  # in places as bright as the display
+    display = np.zeros(SHAPE, bool)
+    display[24:138, 42:182] = True
+    lights = {
+        2000.0: light_at(2000.0),
+        2200.0: np.where(display, light_at(2200.0), room / 20000),
+    }
+    for range_mm, light in lights.items():
+        bench.add("flat", range_mm, 20000 * light, 4)
+    part = Needed.by_targets([CORNERS])
+    found = calibrate(
+        bench.session.frames, bench.session.plan, {2000.0: part, 2200.0: part}
+    )
+    cut = part.cut
+    lit = np.isfinite(found.illumination[2200.0])
+    # measured: 0.994; the room beside the display has its very brightness in places
+    assert np.mean(lit == display[cut]) > 0.99
+    ratio = (found.illumination[2200.0] / light_at(2200.0)[cut])[1::2, 0::2]
+    # measured: 0.00038, and 0.00042 at 2000 mm, where there is no room
+    assert np.nanstd(ratio) / np.nanmean(ratio) < 7e-4
+    assert found.findings == ()
+
+
+def test_flats_of_a_range_are_needed_where_its_targets_are(bench: Bench) -> None:
+    bench.usual(frames=3)
+    near, far = (
+        Needed((slice(20, 160), slice(30, 210))),
+        Needed((slice(60, 120), slice(80, 160))),
+    )
+    found = calibrate(bench.session.frames, bench.session.plan, {2000.0: near, 2200.0: far})
+    assert np.isfinite(found.illumination[2000.0]).all()
+    seen = np.isfinite(found.illumination[2200.0])
+    assert seen[40:100, 50:130].all()
+    assert seen.sum() == 60 * 80
+    assert found.response is not None
+    assert found.response.shape == (140, 180)
+
+
+def test_memory_is_that_of_the_part_not_of_the_frames(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    kinds: dict[FrameKind, float] = {"dark": 600, "flat": 9000}
+    bench = Bench(tmp_path)
+    with bench.session:
+        for kind, level in kinds.items():
+            for k in range(3):
+                counts = rng.poisson(level, (1600, 2400)).astype(np.uint16)
+                path = tmp_path / f"{kind}{k}.tif"
+                tifffile.imwrite(path, counts)
+                bench.session.add_frame(path, path.name, kind, None)
+    part = Needed((slice(800, 900), slice(1200, 1300)))
+    tracemalloc.start()
+    calibrate(bench.session.frames, bench.session.plan, {None: part})
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    # measured: 1.7 MB, where a single frame has 7.7 and a mean of three has 31
+    assert most < 3.4e6
 
 
 def test_colours_that_the_plan_leaves_out_are_not_called_unlit(tmp_path: Path) -> None:

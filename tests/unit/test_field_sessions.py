@@ -21,7 +21,7 @@ from labkit.analysis.observe import observe
 from labkit.drivers.simulated.setup import settings_for
 from labkit.field.flats import session_illumination
 from labkit.photographs.decoding import read_photograph
-from labkit.photographs.photograph import Photograph
+from labkit.photographs.photograph import WHOLE, Cut, Photograph
 from labkit.plan import Plan
 from labkit.plan.sensor import Sensor
 from labkit.session.import_frames import import_frames
@@ -71,8 +71,8 @@ def test_a_clipped_tile_is_left_out_and_named(
         tmp_path / "shots/frames.csv", tmp_path / "shots/plan.toml", tmp_path / "session"
     )
 
-    def overexposed(path: Path, sensor: Sensor) -> Photograph:
-        picture = read_photograph(path, sensor)
+    def overexposed(path: Path, sensor: Sensor, cut: Cut = WHOLE) -> Photograph:
+        picture = read_photograph(path, sensor, cut)
         counts = picture.counts.copy()
         right = slice(counts.shape[1] // 2, None)
         counts[:, right] = (600 + 4 * (counts[:, right] - 600.0)).clip(0, picture.white)

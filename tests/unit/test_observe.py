@@ -16,7 +16,7 @@ from labkit.errors import DataError
 from labkit.estimation.observation import Observation
 from labkit.key import Key
 from labkit.photographs.decoding import read_photograph
-from labkit.photographs.photograph import Photograph
+from labkit.photographs.photograph import Cut, Photograph
 from labkit.plan import Plan, Sensor
 from labkit.target import open_target
 from tests.sensor import BLACK, Bench, light_at
@@ -49,9 +49,9 @@ def test_each_photograph_is_decoded_once(
 ) -> None:
     decoded: Counter[str] = Counter()
 
-    def counted(path: Path, sensor: Sensor) -> Photograph:
+    def counted(path: Path, sensor: Sensor, cut: Cut) -> Photograph:
         decoded[path.name] += 1
-        return read_photograph(path, sensor)
+        return read_photograph(path, sensor, cut)
 
     for module in (labkit.analysis.observe, labkit.calibration.stack):
         monkeypatch.setattr(module, "read_photograph", counted)
