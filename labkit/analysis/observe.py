@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
@@ -123,14 +124,12 @@ def observe(
     for name in channels:
         as_shown(plan, target, name)
     groups = by_range(sorted(frames, key=lambda frame: frame.file)).values()
-    every = [frame for group in groups for frame in group]
-    known = _locate_each(every, plan, target, run, progress)
+    known = _locate_each([*chain(*groups)], plan, target, run, progress)
     places, at_places = _places(groups, plan, known)
     known |= places
     needed = {group[0].range_mm: _needed(group, known) for group in groups}
     calibration = calibrate(photographs, plan, needed, progress)
-    grid = open_grid(plan.target)
-    clear_mm = None if grid is None else grid.clear_mm
+    clear_mm = None if (grid := open_grid(plan.target)) is None else grid.clear_mm
     observations: list[Observation] = []
     sights = list[Sight]()
     together = [one for group in groups for one in of_one_place(group, places)]
@@ -138,11 +137,7 @@ def observe(
     parts = list[TargetPart]()
     for done, group in enumerate(together):
         progress(done, len(together), "reading the target's photographs")
-        cut = _needed(group, known).cut
-        shots = [
-            _Shot(frame, read_photograph(frame.path, plan.sensor, cut), known[frame.file])
-            for frame in group
-        ]
+        shots = _shots(group, plan, known)
         if done == 0:  # the nearest range, where the target is largest
             parts, in_parts = _parts(shots, plan, target)
             findings += in_parts
@@ -161,6 +156,15 @@ def observe(
     refuse_contradictions(sights, plan, target.size_mm)
     findings += _surround_findings(plan, target, observations)
     return observations, each_once(findings)
+
+
+def _shots(group: Sequence[Frame], plan: Plan, known: Mapping[str, Corners]) -> list[_Shot]:
+    """Read the part of photographs that a fit looks at."""
+    cut = _needed(group, known).cut
+    return [
+        _Shot(frame, read_photograph(frame.path, plan.sensor, cut), known[frame.file])
+        for frame in group
+    ]
 
 
 def _sights(shots: Sequence[_Shot]) -> list[Sight]:

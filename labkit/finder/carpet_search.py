@@ -46,13 +46,13 @@ COARSE_BLURS = (0.7, 1.1)
 """Standard deviations of the blur of compared carpets, in samples at COARSE_SIDE: in focus, and far out of focus. With 0.9 and
 2.0 six of 56 small carpets in drawn rooms were not among the likeliest 150; now one."""
 
-EVEN = 0.01
+EVEN_DEVIATION = 0.01
 """Deviation of what is compared, relative to the whole window's, below which it is taken for even."""
 
-INSIDE, WITH_EDGE = 0.94, 1.0
-"""Part of a carpet's side that is compared, where its surround is unknown and where it is known: a black rim may be narrow."""
+COMPARED_SHARE = 0.94
+"""Part of a carpet's side that is compared: anything may be beside it."""
 
-BATCHES = (100, 300)
+BATCHES = (150, 350)
 """Likeliest places that are aligned: the first, and more if no carpet is clear among them."""
 
 FINE_SIDE, FINE_WINDOW, FINE_BLURS = 40, 64, (0.8, 1.6, 3.2)
@@ -63,7 +63,7 @@ ALIGNED_BLUR, ALIGN_STEPS = 1.2, 10
 CLEAR_LIKENESS = 0.97
 """Correlation of an aligned carpet. Carpets have 0.98 and more, other objects 0.95 at the most, in 80 drawn rooms."""
 
-SAME_PLACE, SAME_SIZE = 0.1, 1.16
+NEAR_PLACE, NEAR_SIZE = 0.1, 1.16
 """Places nearer than this, in sizes, and of sizes nearer than this ratio, are one place."""
 
 
@@ -191,8 +191,7 @@ class _Bank:
 
     def __init__(self, target: Target) -> None:
         self._sharp = _upright(target)
-        self._share = INSIDE if target.surround is None else WITH_EDGE
-        reach = COARSE_SIDE * max(SIZES) * self._share / np.sqrt(2)
+        reach = COARSE_SIDE * max(SIZES) * COMPARED_SHARE / np.sqrt(2)
         self._window = 2 * int(np.ceil(reach)) + 1
         poses = [(size, degrees) for size in SIZES for degrees in DIRECTIONS_DEG]
         self._sizes, self._degrees = np.array(poses).T
@@ -221,7 +220,7 @@ class _Bank:
         drawn = cv2.warpAffine(smooth, to_fine, (window, window), flags=how).astype(
             np.float32
         )
-        covered = _square(len(self._sharp), self._share * UPRIGHT_SIDE)
+        covered = _square(len(self._sharp), COMPARED_SHARE * UPRIGHT_SIDE)
         mask = cv2.warpAffine(covered, to_fine, (window, window), flags=how) > 0.5
         return mask, [_unit(drawn, blur, mask) for blur in blurs]
 
@@ -240,7 +239,9 @@ class _Bank:
         variance = patches**2 @ self._masks.T - (patches @ self._masks.T) ** 2 / count
         products = np.max([patches @ of_blur.T for of_blur in self._templates], axis=0)
         # beside an edge that is not compared, the difference of squares has no digits left
-        least = np.maximum(EVEN**2 * (patches**2).sum(axis=1), _least_variance(image))
+        least = np.maximum(
+            EVEN_DEVIATION**2 * (patches**2).sum(axis=1), _least_variance(image)
+        )
         likeness = products / np.sqrt(np.maximum(variance, least[:, None]))
         best = likeness.argmax(axis=1)
         of_best = likeness[np.arange(len(best)), best]
@@ -327,7 +328,7 @@ def _distinct(places: Floats, most: int) -> Floats:
             break
         size_ratio = np.abs(np.log(kept[:, 3] / place[3]))
         away = np.abs(kept[:, 1:3] - place[1:3]).max(axis=1, initial=0.0)
-        same = (away < SAME_PLACE * place[3]) & (size_ratio < np.log(SAME_SIZE))
+        same = (away < NEAR_PLACE * place[3]) & (size_ratio < np.log(NEAR_SIZE))
         if not same.any():
             kept = np.vstack((kept, place))
     return kept

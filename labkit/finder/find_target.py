@@ -8,7 +8,8 @@ the photograph agrees with the target everywhere. Whatever else is in the frame 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import chain
 
 import cv2
 import numpy as np
@@ -16,12 +17,12 @@ from numpy.typing import ArrayLike
 
 from labkit.errors import TargetError
 from labkit.finder.carpet_search import Likely, is_carpet, likely_carpets
-from labkit.finder.picture import Picture
+from labkit.finder.picture import LEAST_CONTRAST, Picture
 from labkit.finder.registration import (
     BEYOND_DOUBT,
-    CLEAR,
+    CLEAR_AGREEMENT,
     HOPELESS,
-    LEAST,
+    LEAST_AGREEMENT,
     OWN_CORNERS,
     Agreement,
     homography,
@@ -33,7 +34,7 @@ from labkit.finder.registration import (
 )
 from labkit.finder.template_search import likely_places
 from labkit.photographs.photograph import Photograph
-from labkit.target import Target
+from labkit.target import CellTarget, Target, open_target
 from labkit.types import Floats
 
 SCALE_TOLERANCE = 0.15
@@ -43,9 +44,15 @@ LEAST_TARGET_SIDE_PX = 12.0
 """A quadrilateral with a shorter side is a sliver: stretched, any edge of a picture looks like a target far out of focus.
 The search looks for targets of 16 pixels and more; registration may shrink one by a quarter of that."""
 
-USUAL_LEAST_PX, LEAST_PX = 48.0, 20.0
+USUAL_PX, SMALLEST_PX = 48.0, 20.0
 """Smallest side of a carpet that is searched for, and where none is found: a fit wants 60 pixels. In a frame of 24 million
 pixels the smallest cost three times as much as all others."""
+
+SMALLEST_FITTED_PX = 36.0
+"""Side below which a target says nothing: a carpet's squares of the third order have 1.3 pixels."""
+
+ANY_CARPET = "sierpinski:order=4,size_mm=30"
+"""Looked for where another kind of target is not found."""
 
 MOST_REGISTERED = 12
 """Likely places without a clear target that are looked at in the photograph's own pixels."""
@@ -113,7 +120,7 @@ def likely_targets(
     Parameters are those of `find_target`.
     """
     if is_carpet(target):
-        for least_px, most_px in ((USUAL_LEAST_PX, np.inf), (LEAST_PX, USUAL_LEAST_PX)):
+        for least_px, most_px in ((USUAL_PX, np.inf), (SMALLEST_PX, USUAL_PX)):
             found = likely_carpets(picture, target, least_px, most_px)
             clear = sum(one.is_clear for one in found)
             yield found[: clear + MOST_REGISTERED]
@@ -151,7 +158,7 @@ class _Search:
             return self._whole(corners)
         except TargetError as complaint:  # of a blurred picture a wrong pose may be believed: there may be a better one
             self.complaints.append(complaint)
-            if agreement.whole > CLEAR:
+            if agreement.whole > CLEAR_AGREEMENT:
                 raise self.complaints[0] from None
             return None
 
@@ -171,7 +178,7 @@ class _Search:
             around, agreement = register(self.picture, self.target, large)
             if is_target_shaped(around) and agreement.is_believable:
                 return self._whole(around)
-        if likeness <= LEAST:
+        if likeness <= LEAST_AGREEMENT:
             return corners
         side_px, shape = float(np.ptp(large, axis=0).max()), self.picture.shape
         if (np.ptp(large, axis=0) > shape).any():
@@ -197,18 +204,67 @@ class _Search:
                 found.append(at)
         return [at for at in found[1:] if light_range(self.picture, at) > least_light]
 
+    def _other_kind(self) -> str | None:
+        """Return what is in the frame in place of a target that is no carpet, and what to do; None if neither is found."""
+        if is_carpet(self.target):
+            return None
+        for other, words in (
+            (_mirrored(self.target), "mirrored: show and photograph it unmirrored"),
+            (open_target(ANY_CARPET), "a Sierpinski carpet: check kind of [target]"),
+        ):
+            if other is not None and _Search(self.picture, other).finds_one():
+                return words
+        return None
+
+    def finds_one(self) -> bool:
+        """Return whether any target is found, whole or not."""
+        batches = likely_targets(self.picture, self.target, None)
+        return any(
+            register(self.picture, self.target, one.corners)[1].is_believable
+            for one in chain.from_iterable(batches)
+        )
+
     def failure(self) -> TargetError:
         """Return why no target was found."""
         if self.complaints:
             return self.complaints[0]
+        contrast = self.picture.contrast()
+        if contrast == 1:
+            return TargetError(
+                "no target found in the frame: it is of one grey all over; check exposure and lens cap"
+            )
+        if contrast < LEAST_CONTRAST:
+            return TargetError(
+                f"no target found in the frame: it is nearly even, bright parts {contrast:.2f} times as bright as dark ones; "
+                "is the target shown, or white?"
+            )
+        if other := self._other_kind():
+            return TargetError(
+                f"no target found in the frame as the plan describes it, but {other}"
+            )
         return TargetError(
             f"no target found in the frame: the likeliest place correlates {max(self.best.least, 0.0):.2f} with it, "
-            f"{LEAST:g} is needed; check [target] in the plan, focus and light, or give its corners_px"
+            f"{LEAST_AGREEMENT:g} is needed; check [target] in the plan, focus and light, or give its corners_px"
         )
+
+
+def _mirrored(target: Target) -> Target | None:
+    """Return a target as in a mirror; None where that is no other one."""
+    if not isinstance(target, CellTarget):
+        return None
+    cells = target.cells[:, ::-1]
+    turns = (np.rot90(target.cells, k) for k in range(4))
+    same = any(np.array_equal(cells, turned) for turned in turns)
+    return None if same else replace(target, cells=cells)
 
 
 def _meant(targets: list[Floats], target: Target, mm_per_pixel: float | None) -> Floats:
     """Return the corners of the only target, or of the only one of the stated scale. Raises TargetError for several."""
+    side = max(map(mean_side, targets))
+    if side < SMALLEST_FITTED_PX:
+        raise TargetError(
+            f"the target spans {side:.0f} pixels: a fit wants 60 and more; come nearer, or show a larger one"
+        )
     of_scale = [
         corners for corners in targets if right_scale(corners, target, mm_per_pixel)
     ]

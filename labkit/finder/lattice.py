@@ -25,7 +25,7 @@ from labkit.finder.find_target import (
 )
 from labkit.finder.picture import Picture
 from labkit.finder.registration import (
-    LEAST,
+    LEAST_AGREEMENT,
     OWN_CORNERS,
     homography,
     mapped,
@@ -111,7 +111,8 @@ def _found(picture: Picture, grid: TargetGrid, mm_per_pixel: float | None) -> La
         if corners is None or not right_scale(corners, grid.tile, mm_per_pixel):
             continue
         if is_carpet(grid.tile) and any(
-            agreement > LEAST for _, agreement in parents(picture, grid.tile, corners)
+            agreement > LEAST_AGREEMENT
+            for _, agreement in parents(picture, grid.tile, corners)
         ):
             continue
         lattice = _grown(picture, grid, corners)

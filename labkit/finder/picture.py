@@ -37,13 +37,16 @@ class Picture:
     ----------
     counts : (rows, columns) of a mosaic, or (rows, 3 columns) in colours; any scale and offset, NaN where there is no value
     pattern : colours of the filter array's cell, such as ("RG", "GB"), ("M",) or ("RGB",)
+    black : the count of no light
 
     Raises
     ------
     TargetError : no pixels to look at
     """
 
-    def __init__(self, counts: NDArray[Any], pattern: Sequence[str] = MONO) -> None:
+    def __init__(
+        self, counts: NDArray[Any], pattern: Sequence[str] = MONO, black: float = 0.0
+    ) -> None:
         pattern = tuple(pattern)
         colours = len(IN_COLOURS[0]) if pattern == IN_COLOURS else 1
         self.shape = (counts.shape[0], counts.shape[1] // colours)
@@ -53,6 +56,7 @@ class Picture:
             )
         self._counts = _drawable(counts).reshape(*self.shape, colours)
         self._cell = 1 if pattern in (MONO, IN_COLOURS) else len(pattern)
+        self._black = black
         self._halves: list[Singles] = []
 
     @classmethod
@@ -61,7 +65,7 @@ class Picture:
         if isinstance(image, Picture):
             return image
         if isinstance(image, Photograph):
-            return cls(image.counts, image.pattern)
+            return cls(image.counts, image.pattern, float(image.black.mean()))
         counts = np.asarray(image)
         floating = counts.dtype.kind == "f"
         real_array(
@@ -115,6 +119,13 @@ class Picture:
                 source, to_half, shape[::-1], flags=how, borderMode=cv2.BORDER_REPLICATE
             )
         )
+
+    def contrast(self) -> float:
+        """Return how many times brighter bright parts are than dark ones; 1 for a picture of one grey all over."""
+        dark, bright = np.percentile(self.scaled(0.25) - self._black, (0.5, 99.5))
+        if bright == dark:
+            return 1.0
+        return float(bright / dark) if dark > 0 else np.inf
 
     def whole_cells(self, low: ArrayLike) -> NDArray[np.int_]:
         """Return the first (row, column) of the cell of the filter array that a pixel belongs to."""

@@ -23,12 +23,12 @@ REGISTRATION_PASSES = ((40, (5,)), (160, (7, 5)), (320, (5,)))
 """Pixels across the target at which it is registered, first roughly: a larger picture is binned down to about this. And the
 sides of the kernels, pixels, that smooth the picture, one after the other."""
 
-LEAST, CLEAR, BEYOND_DOUBT = 0.6, 0.9, 0.95
+LEAST_AGREEMENT, CLEAR_AGREEMENT, BEYOND_DOUBT = 0.6, 0.9, 0.95
 """Least correlation of a picture with the rendered target, for the whole target and for the median of 3×3 parts; the worst
 part needs half; for a target partly outside the frame or far out of focus; and for one that replaces another one. In 120 drawn
 rooms without a target none had 0.5 unless far out of focus."""
 
-SMOOTH_DEGREE, LEAST_DETAIL = 4, 0.8
+SMOOTH_DEGREE, LEAST_DETAIL_AGREEMENT = 4, 0.8
 """Degree of the polynomial in row and column without which pictures of targets far out of focus are compared, and the least
 correlation then. In 60 drawn rooms without a target, smooth spots had 0.71 at the most; a carpet of 62 pixels whose side
 squares are blurred away had 0.89."""
@@ -52,12 +52,18 @@ PARENT_BLUR = 0.01
 PARENT_SIDE = 243
 """Pixels across a carpet that the target may be a part of."""
 
-CLEAR_RIM, CLUTTER = 0.04, 0.15
-"""Width around the target, in its sides, of what belongs to the target or its blur; and difference from the stated surround, of
-the target's own range, beyond which what is farther out is something else, such as a bright wall beside a black rim."""
+CLEAR_RIM, COMPARED_RIM = 0.04, 0.1
+"""Width around the target, in its sides, of what belongs to the target or its blur; and of what registration looks at."""
 
-REACH = 0.3
+CLUTTER, NOISY_SHARE = 0.15, 0.02
+"""Difference from the stated surround, of the target's own range, that is something else, such as a bright wall beside a black
+rim; and the share of such pixels that noise makes."""
+
+SURROUNDINGS = 0.3
 """Width of the surroundings in which a target may move as it is registered, in sides."""
+
+LEAST_DRAWN_PX = 24.0
+"""Side of the smallest target that is drawn: a rim of a few samples must leave something."""
 
 LIGHT_SIDE = 100
 """Samples across a target when its light is compared with another one's."""
@@ -89,14 +95,14 @@ class Agreement:
     @property
     def is_hopeless(self) -> bool:
         """Whether a rough registration cannot become believable."""
-        return self.least < (CLEAR if self.blur > FAR_OUT_OF_FOCUS else HOPELESS)
+        return self.least < (CLEAR_AGREEMENT if self.blur > FAR_OUT_OF_FOCUS else HOPELESS)
 
     @property
     def is_believable(self) -> bool:
         """Whether the photograph agrees with the target everywhere."""
         if self.blur > FAR_OUT_OF_FOCUS:
-            return self.least >= CLEAR and self.detail >= LEAST_DETAIL
-        return self.least >= LEAST
+            return self.least >= CLEAR_AGREEMENT and self.detail >= LEAST_DETAIL_AGREEMENT
+        return self.least >= LEAST_AGREEMENT
 
     @property
     def least(self) -> float:
@@ -115,15 +121,10 @@ class _Template:
     sharp: Singles
     part: tuple[slice, slice]
     corners: Floats
-    surround: float
 
     @property
     def shape(self) -> tuple[int, int]:
         return self.sharp[self.part].shape[0], self.sharp[self.part].shape[1]
-
-    def filled(self, picture: Singles) -> Singles:
-        """Return a picture with the surround where it shows something else."""
-        return np.nan_to_num(picture, nan=self.surround)
 
     def blurred(self, sigma: float) -> Singles:
         return _blur(self.sharp, sigma)[self.part]
@@ -139,8 +140,7 @@ def register(picture: Picture, target: Target, corners: Floats) -> tuple[Floats,
     agreement = Agreement(0.0, ())
     for side, lights in REGISTRATION_PASSES:
         image, first, factor = neighbourhood(picture, corners, side)
-        image = _without_clutter(image, first, target.surround)
-        template = _render(target, mean_side(first))
+        template = _render(target, mean_side(first), _stands_alone(image, first, target))
         at = first
         sigma = blur * mean_side(at)
         for light in lights:
@@ -164,7 +164,7 @@ def parents(
     """
     unit = np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, 1.0], [1.0, -1.0]])
     image_from_small = homography(unit, corners)
-    template = _render(target, min(PARENT_SIDE, 3 * mean_side(corners)))
+    template = _render(target, min(PARENT_SIDE, 3 * mean_side(corners)), alone=True)
     for row in (-2.0, 0.0, 2.0):
         for col in (-2.0, 0.0, 2.0):
             if row == col == 0.0:
@@ -177,15 +177,19 @@ def parents(
             yield large, correlation(*pair)
 
 
-def _without_clutter(image: Singles, corners: Floats, surround: float | None) -> Singles:
-    """Return an image, 0 to 1, with NaN around a quadrilateral where it is neither the target's nor the stated surround's."""
-    if surround is None:
-        return image
-    rim = mapped(homography(OWN_CORNERS, corners), (1 + 2 * CLEAR_RIM) * OWN_CORNERS)
-    smooth = cv2.blur(image, (3, 3))
-    odd = (_covered(rim, image.shape) == 0) & (np.abs(smooth - surround) > CLUTTER)
-    around = cv2.dilate(odd.astype(np.uint8), np.ones((3, 3)))
-    return np.where(around > 0, np.float32(np.nan), image)
+def _stands_alone(image: Singles, corners: Floats, target: Target) -> bool:
+    """Return whether something else than a stated surround is beside a target: then the target is compared without it."""
+    if target.surround is None:
+        return True
+    inner, outer = (
+        _covered(mapped(homography(OWN_CORNERS, corners), size * OWN_CORNERS), image.shape)
+        for size in (1 + 2 * CLEAR_RIM, 1 + 2 * COMPARED_RIM)
+    )
+    beside = cv2.blur(image, (3, 3))[(outer > 0) & (inner == 0)]
+    return bool(
+        np.count_nonzero(np.abs(beside - target.surround) > CLUTTER)
+        > NOISY_SHARE * beside.size
+    )
 
 
 def light_range(picture: Picture, corners: Floats) -> float:
@@ -204,7 +208,7 @@ def mean_side(corners: Floats) -> float:
 
 
 def neighbourhood(
-    picture: Picture, corners: Floats, side: float, reach: float = REACH
+    picture: Picture, corners: Floats, side: float, reach: float = SURROUNDINGS
 ) -> tuple[Singles, Floats, int]:
     """Return the surroundings of a quadrilateral, the quadrilateral in their pixels, and how many pixels are binned to one.
 
@@ -237,8 +241,10 @@ def _covered(corners: Floats, shape: tuple[int, ...]) -> NDArray[np.uint8]:
     return inside
 
 
-def _render(target: Target, side_px: float) -> _Template:
+def _render(target: Target, side_px: float, alone: bool) -> _Template:
+    """Return the target drawn with its surround, or with its rim cut off if it is compared alone."""
     height, width = target.size_mm
+    side_px = max(side_px, LEAST_DRAWN_PX)
     spacing = (height + width) / 2 / side_px
     rows, cols = max(9, round(height / spacing)), max(9, round(width / spacing))
     rim = max(4, round(0.06 * side_px))
@@ -247,13 +253,13 @@ def _render(target: Target, side_px: float) -> _Template:
     sharp = np.asarray(
         target.sample(y * height, x * width, 0.4 / spacing), dtype=np.float32
     )
-    cut = 2 * rim if target.surround is None else 0
+    cut = 2 * rim if alone else 0
     low = rim - cut - 0.5
     bottom = rim - cut + rows - 0.5
     right = rim - cut + cols - 0.5
     corners = np.array([[low, low], [low, right], [bottom, right], [bottom, low]])
     part = (slice(cut, sharp.shape[0] - cut), slice(cut, sharp.shape[1] - cut))
-    return _Template(sharp, part, corners, target.surround or 0.0)
+    return _Template(sharp, part, corners)
 
 
 def homography(source: Floats, destination: Floats) -> Floats:
@@ -287,7 +293,7 @@ def _ecc(
         everywhere = np.ones(picture.shape, np.uint8)
         _, aligned = cv2.findTransformECC(
             template.blurred(sigma),
-            template.filled(picture),
+            picture,
             start,
             cv2.MOTION_HOMOGRAPHY,
             criteria,
@@ -308,14 +314,12 @@ def _aligned(
     image_from_template = homography(template.corners, corners)
     size = template.shape[::-1]
     how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    shown = np.isfinite(picture).astype(np.float32)
-    in_frame = cv2.warpPerspective(shown, image_from_template, size, flags=how) > 0.99
+    in_frame = (
+        cv2.warpPerspective(np.ones_like(picture), image_from_template, size, flags=how)
+        > 0.99
+    )
     warped = cv2.warpPerspective(
-        template.filled(picture),
-        image_from_template,
-        size,
-        flags=how,
-        borderMode=cv2.BORDER_REPLICATE,
+        picture, image_from_template, size, flags=how, borderMode=cv2.BORDER_REPLICATE
     )
     return _blur(np.asarray(warped, dtype=np.float32), LIGHT_BLUR), in_frame
 

@@ -15,7 +15,7 @@ from labkit.types import Floats
 
 Singles = NDArray[np.float32]
 
-COARSE_SIDE = 48
+TEMPLATE_SIDE = 48
 """Samples along the target's first axis in a copy of the photograph."""
 
 BLUR_PX = 1.2
@@ -25,9 +25,9 @@ LEAST_DEVIATION = 0.01
 """Standard deviation, relative to the photograph's range, where a target may be: JPEG makes dark parts perfectly even."""
 
 TILTS_DEG = np.linspace(-45.0, 45.0, 22, endpoint=False)
-SCALE_STEP = 1.06
+SIZE_STEP = 1.06
 
-LEAST_PX = 48.0
+SMALLEST_SIDE_PX = 48.0
 """Length of the smallest target that is searched for where no scale is known."""
 
 MOST_OF_AN_OCTAVE = 6
@@ -46,11 +46,11 @@ def likely_places(
     sides_px : least and most length of its first axis, pixels; None for all that are in the frame
     """
     per_mm = float(np.min(np.array(picture.shape) / target.size_mm))
-    least, most = sides_px or (LEAST_PX, SCALE_STEP * per_mm * target.size_mm[0])
-    steps = max(1, round(np.log(most / least) / np.log(SCALE_STEP))) if most > least else 0
+    least, most = sides_px or (SMALLEST_SIDE_PX, SIZE_STEP * per_mm * target.size_mm[0])
+    steps = max(1, round(np.log(most / least) / np.log(SIZE_STEP))) if most > least else 0
     sides = np.geomspace(most, least, steps + 1)
     templates = _templates(target)
-    octave = round(np.log(2) / np.log(SCALE_STEP))
+    octave = round(np.log(2) / np.log(SIZE_STEP))
     for start in range(0, len(sides), octave):
         yield _distinct(
             place
@@ -62,8 +62,8 @@ def likely_places(
 def _places(
     picture: Picture, side_px: float, templates: list[tuple[Singles, Floats]]
 ) -> Iterator[Likely]:
-    """Yield the likeliest place of each template in a copy of the photograph in which the target has COARSE_SIDE samples."""
-    scale = COARSE_SIDE / side_px
+    """Yield the likeliest place of each template in a copy of the photograph in which the target has TEMPLATE_SIDE samples."""
+    scale = TEMPLATE_SIDE / side_px
     small = cv2.GaussianBlur(picture.scaled(scale), (0, 0), BLUR_PX)
     relative = np.asarray(small / max(float(np.ptp(small)), 1e-9), np.float32)
     for template, corners in templates:
@@ -105,7 +105,7 @@ def _likeness(picture: Singles, template: Singles) -> Singles:
 
 def _templates(target: Target) -> list[tuple[Singles, Floats]]:
     """Return the target in every tried direction, without directions that look the same."""
-    spacing = target.size_mm[0] / COARSE_SIDE
+    spacing = target.size_mm[0] / TEMPLATE_SIDE
     rows, cols = (int(side / spacing / 2) + 3 for side in target.size_mm)
     y, x = np.arange(-rows, rows + 1) * spacing, np.arange(-cols, cols + 1) * spacing
     sharp = target.sample(y, x, 0.4 / spacing).astype(np.float32)

@@ -8,18 +8,23 @@ import math
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import zip_longest
 from pathlib import Path
+from sys import maxsize
 from typing import Any
 
-from labkit.errors import DataError, InputError, RawError, shown
+import numpy as np
+
+from labkit.errors import DataError, InputError, RawError, TargetError, shown
 from labkit.files import refuse_special
+from labkit.finder.cut import cut_around
+from labkit.finder.lattice import find_targets
 from labkit.findings import Finding
 from labkit.photographs.alterations import Alterations, alterations
 from labkit.photographs.decoding import read_photograph
 from labkit.photographs.exposure import difference, exposure_problem
-from labkit.photographs.photograph import Photograph
+from labkit.photographs.photograph import WHOLE, Cut, Photograph
 from labkit.plan import Plan
 from labkit.plan.sensor import MONO
 from labkit.plan.text import MOST_PROBLEMS, plain_number
@@ -263,6 +268,7 @@ def _check_photographs(
     problems: list[tuple[str, str]] = []
     first: Photograph | None = None
     series = _photon_transfer(rows)
+    places = _Places(rows, plan)
     for done, row in enumerate(rows):
         progress(done, 2 * len(rows), f"checking {row.file}")
         try:
@@ -278,14 +284,49 @@ def _check_photographs(
         altered = alterations(mosaic) if lit else Alterations()
         problem = difference(mosaic, first)
         if not (series and row.kind == "flat"):
-            problem = problem or exposure_problem(
-                mosaic, row.kind, (c.name for c in plan.channel)
-            )
+            problem = problem or _light_problem(mosaic, row, places)
         if problem := problem or altered.refusal:
             problems.append((f"{row.file} {problem}", problem))
         checked.append(_Checked(mosaic.exposure_s, mosaic.iso, mosaic.notes, altered.notes))
     _refuse(csv_path, _each_once(problems, "files"))
     return checked
+
+
+@dataclass(frozen=True)
+class _Places:
+    """Where photographs show the target, by range: searched for where it is asked for."""
+
+    rows: list[Row]
+    plan: Plan
+    known: dict[float | None, Cut] = field(default_factory=dict)
+
+    def of(self, row: Row) -> Cut:
+        """Return rows and columns around the target at a row's range, or at the first; all where it is not found."""
+        targets = [one for one in self.rows if one.kind == "target"]
+        here = [one for one in targets if one.range_mm == row.range_mm] or targets
+        if not here:
+            return WHOLE
+        if here[0].range_mm not in self.known:
+            self.known[here[0].range_mm] = self._searched(here[0])
+        return self.known[here[0].range_mm]
+
+    def _searched(self, row: Row) -> Cut:
+        if (given := self.plan.target.corners_px) is not None:
+            return cut_around([np.array(given, float)], (maxsize, maxsize))
+        try:
+            mosaic = read_photograph(row.path, self.plan.sensor)
+            return cut_around(list(find_targets(mosaic, self.plan.target)), mosaic.shape)
+        except (RawError, TargetError):
+            return WHOLE
+
+
+def _light_problem(mosaic: Photograph, row: Row, places: _Places) -> str | None:
+    """Return a fault of the light: in the whole frame and on the target, for a window beside it may be overexposed."""
+    names = [channel.name for channel in places.plan.channel]
+    problem = exposure_problem(mosaic, row.kind, names)
+    if problem is None or row.kind not in ("target", "flat"):
+        return problem
+    return exposure_problem(mosaic, row.kind, names, places.of(row))
 
 
 def _each_once(problems: Sequence[tuple[str, str]], of: str) -> list[str]:

@@ -14,7 +14,8 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 EVERYWHERE = ("labkit", "drivers", "targets", "tests", "benchmarks", "examples", "docs")
-MOST_LINES, MEDIAN_LINES, MOST_SHARE_OF_A_ROOM = 500, 200, 0.15
+MOST_LINES, MEDIAN_LINES, MOST_SHARE_OF_A_ROOM = 900, 200, 0.15
+# A file is a subject: a limit that splits a subject is worse than a long file.
 MOST_STATEMENTS, MOST_LINES_OF_A_FUNCTION = 34, 80
 MEAN_CHARACTERS, MEAN_TOKENS = 42.0, 9.0
 FRAGMENTS = ("Of", "As", "By", "That", "Those", "What", "Its")
@@ -86,7 +87,7 @@ def rooms() -> dict[str, int]:
     return found
 
 
-def test_no_file_is_longer_than_five_hundred_lines() -> None:
+def test_no_file_is_longer_than_nine_hundred_lines() -> None:
     assert {name(path) for path in files(*EVERYWHERE) if lines(path) > MOST_LINES} == set()
 
 

@@ -18,7 +18,7 @@ LAYERS = {
     ],
     "model": ["optics", "panel", "imaging"],
     "material": [
-        *("photographs", "results", "session", "finder", "calibration"),
+        *("photographs", "results", "finder", "session", "calibration"),
         *("devices", "acquisition"),
     ],
     "estimation": ["estimation"],
