@@ -64,7 +64,14 @@ class RawError(InputError):
 
 
 class TargetError(InputError):
-    """A target cannot be made, or is not found in the frame."""
+    """A target cannot be made, or is not found in the frame.
+
+    likely_px: corners (4, 2), [row, column], of the likeliest places in the frame, for a picture of what was looked at.
+    """
+
+    def __init__(self, message: str, likely_px: Sequence[Any] = ()) -> None:
+        super().__init__(message)
+        self.likely_px = likely_px
 
 
 class DataError(InputError):

@@ -54,7 +54,7 @@ def summarise(number: int, look: Look) -> tuple[FrameSummary, bytes]:
         histogram(look.mosaic),
         look.note,
     )
-    return summary, jpeg(look.mosaic, look.corners_px)
+    return summary, jpeg(look.mosaic, look.corners_px, look.likely_px)
 
 
 def exposure(mosaic: Photograph) -> tuple[float, float]:

@@ -39,6 +39,7 @@ from labkit.photographs.decoding import read_photograph
 from labkit.photographs.exposure import exposure_problem
 from labkit.photographs.photograph import WHOLE
 from labkit.plan import Plan
+from labkit.session.session import PREFLIGHT_FOLDER
 from labkit.target import open_target
 from labkit.types import Floats
 
@@ -46,9 +47,6 @@ Result = TypeVar("Result")
 
 SPARE_SHARE = 0.05
 """Of the room that photographs will take: kept free for journal and results."""
-
-PREFLIGHT_FOLDER = "preflight"
-"""The folder of test photographs in a session's."""
 
 
 @dataclass(slots=True)
@@ -162,7 +160,8 @@ class _Round:
             self.findings.problems.append(
                 TargetError(f"at {range_mm:g} mm: {found}, see {shown.seen}")
             )
-        look = replace(shown.look, corners_px=corners)
+        likely = found.likely_px if isinstance(found, TargetError) else ()
+        look = replace(shown.look, corners_px=corners, likely_px=likely)
         blur = None
         if corners is not None:
             self.findings.corners_px += list(corners)
@@ -256,7 +255,9 @@ class _Round:
         """Show a look to observers, and write its picture beside the photograph."""
         self.log.saw(look)
         self.findings.succeeds(
-            lambda: write_atomically(kept.seen, jpeg(look.mosaic, look.corners_px))
+            lambda: write_atomically(
+                kept.seen, jpeg(look.mosaic, look.corners_px, look.likely_px)
+            )
         )
 
 

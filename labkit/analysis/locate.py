@@ -9,24 +9,31 @@ from pathlib import Path
 
 import numpy as np
 
-from labkit.errors import LostTasksError, TargetError
+from labkit.errors import InputError, LostTasksError, TargetError
 from labkit.execute import Run
+from labkit.files import write_atomically
 from labkit.finder.find_target import find_target
 from labkit.finder.lattice import find_tiles
 from labkit.finder.picture import Picture
+from labkit.finder.preview import jpeg
+from labkit.finder.registration import surround_share
 from labkit.key import Tile
 from labkit.optics.lens import ThinLens, ground_sample_mm
 from labkit.photographs.decoding import read_photograph
 from labkit.photographs.photograph import Photograph
 from labkit.plan import Plan
 from labkit.session.frame import Frame
+from labkit.session.session import PREFLIGHT_FOLDER
 from labkit.sharing import Shared, share
-from labkit.target import Target, open_target
+from labkit.target import Target
 from labkit.target_grid import open_grid
 from labkit.types import Floats, Progress
 
 Corners = Mapping[Tile | None, Floats]
 """Corners (4, 2) in pixels of every tile that is found in a photograph. A whole target has one tile, its place or None."""
+
+MOST_OF_SURROUND = 0.9
+"""Share of what is beside a target that contradicts the stated surround: a room beside a narrow rim is not as even."""
 
 SURROUND_LEVELS = {"black": 0.0, "white": 1.0}
 """How light a surround is, by the plan's name of it."""
@@ -36,7 +43,6 @@ SURROUND_LEVELS = {"black": 0.0, "white": 1.0}
 class _Search:
     """The search of one photograph as a task; attributes as of `Frame`, which does not travel."""
 
-    file: str
     path: Path
     range_mm: float | None
     plan: Plan
@@ -66,7 +72,7 @@ def locate_all(
     if plan.target.corners_px is not None:
         return {}
     shared = share(target)
-    tasks = [_Search(one.file, one.path, one.range_mm, plan, shared) for one in frames]
+    tasks = [_Search(one.path, one.range_mm, plan, shared) for one in frames]
     ends = dict[int, Corners | TargetError]()
     with suppress(LostTasksError):
         for index, end in run(_searched, tasks):
@@ -85,7 +91,7 @@ def _searched(search: _Search) -> Corners | TargetError:
     photograph = read_photograph(search.path, search.plan.sensor)
     try:
         return locate(
-            photograph, search.file, search.range_mm, search.plan, search.target.value
+            photograph, search.path, search.range_mm, search.plan, search.target.value
         )
     except TargetError as error:
         return error
@@ -93,17 +99,19 @@ def _searched(search: _Search) -> Corners | TargetError:
 
 def locate(
     photograph: Photograph,
-    file: str,
+    path: Path,
     range_mm: float | None,
     plan: Plan,
     target: Target,
 ) -> Corners:
     """Return the corners in a photograph: as the plan states them, or as they are found.
 
+    Where none is found, a picture of what was looked at is written into the session.
+
     Parameters
     ----------
     photograph : decoded
-    file : its name, for messages
+    path : its file in a session
     range_mm : of the target, None if unknown
     plan : lens and sensor
     target : the target of the plan
@@ -115,31 +123,40 @@ def locate(
     if plan.target.corners_px is not None:
         return {None: np.array(plan.target.corners_px, float)}
     picture = Picture.of(photograph)
+    scale = _stated_scale(range_mm, plan)
     try:
-        scale = _stated_scale(range_mm, plan)
         if (grid := open_grid(plan.target)) is not None:
             return dict(find_tiles(picture, grid, mm_per_pixel=scale).items())
-        return {None: find_target(picture, target, mm_per_pixel=scale)}
+        corners = find_target(picture, target, mm_per_pixel=scale)
+        _refuse_other_surround(picture, corners, plan)
     except TargetError as error:
-        if other := _other_surround(picture, range_mm, plan):
-            raise TargetError(
-                f"{file}: the target is found in it if its surround is {other}, but the plan has target.surround = "
-                f'"{plan.target.surround}": write "{other}"'
-            ) from error
-        raise TargetError(f"{file}: {error}") from error
+        seen = _write_picture(photograph, path, error)
+        raise TargetError(f"{path.name}: {error}{seen}", error.likely_px) from error
+    return {None: corners}
 
 
-def _other_surround(picture: Picture, range_mm: float | None, plan: Plan) -> str | None:
-    """Return the surround with which the target is found, black or white, where the plan states the other."""
-    if plan.target.surround not in SURROUND_LEVELS:
-        return None
-    (other,) = SURROUND_LEVELS.keys() - {plan.target.surround}
-    target = open_target(plan.replace(target={"surround": other}).target)
+def _write_picture(photograph: Photograph, path: Path, error: TargetError) -> str:
+    """Write a picture of the places that were looked at beside the session's test photographs; return where it is."""
+    seen = path.parents[1] / PREFLIGHT_FOLDER / f"{path.stem}_seen.jpg"
     try:
-        find_target(picture, target, mm_per_pixel=_stated_scale(range_mm, plan))
-    except TargetError:
-        return None
-    return other
+        seen.parent.mkdir(exist_ok=True)
+        write_atomically(seen, jpeg(photograph, likely_px=error.likely_px))
+    except (OSError, InputError):  # a session may be on a medium that nobody can write to
+        return ""
+    return f", see {seen}"
+
+
+def _refuse_other_surround(picture: Picture, corners: Floats, plan: Plan) -> None:
+    """Raise TargetError where black is around the target and the plan states white, or the other way round."""
+    if plan.target.surround not in SURROUND_LEVELS:
+        return
+    (other,) = SURROUND_LEVELS.keys() - {plan.target.surround}
+    if surround_share(picture, corners, SURROUND_LEVELS[other]) > MOST_OF_SURROUND:
+        raise TargetError(
+            f"the target's surround is {other} in it, but the plan has target.surround = "
+            f'"{plan.target.surround}": write "{other}"',
+            [corners],
+        )
 
 
 def _stated_scale(range_mm: float | None, plan: Plan) -> float | None:

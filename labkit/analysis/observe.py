@@ -351,7 +351,7 @@ def _locate_each(
 def _locate_alone(frame: Frame, plan: Plan, target: Target) -> Corners:
     """Return the corners in a photograph, whose frame is in memory meanwhile."""
     whole = read_photograph(frame.path, plan.sensor)
-    return locate(whole, frame.file, frame.range_mm, plan, target)
+    return locate(whole, frame.path, frame.range_mm, plan, target)
 
 
 def _needed(group: Sequence[Frame], known: Mapping[str, Corners]) -> Needed:

@@ -54,6 +54,9 @@ SMALLEST_FITTED_PX = 36.0
 ANY_CARPET = "sierpinski:order=4,size_mm=30"
 """Looked for where another kind of target is not found."""
 
+MOST_SHOWN = 6
+"""Likely places that a picture of a search in vain shows."""
+
 MOST_REGISTERED = 12
 """Likely places without a clear target that are looked at in the photograph's own pixels."""
 
@@ -136,12 +139,14 @@ def likely_targets(
 class _Search:
     """The search for a target in a photograph.
 
-    best: agreement at the likeliest place that was looked at; complaints: why targets that were found are none to fit.
+    best: agreement at the likeliest place that was looked at; likely: all those places, the likeliest first; complaints: why
+    targets that were found are none to fit.
     """
 
     picture: Picture
     target: Target
     best: Agreement = field(default_factory=lambda: Agreement(0.0, ()))
+    likely: list[Floats] = field(default_factory=list)
     complaints: list[TargetError] = field(default_factory=list)
 
     def accepted(self, start: Floats) -> Floats | None:
@@ -150,6 +155,7 @@ class _Search:
         if not is_target_shaped(corners):
             return None
         self.best = max(self.best, agreement, key=lambda one: one.least)
+        self.likely.append(corners)
         if not agreement.is_believable:
             return None
         if self.complaints and agreement.whole < BEYOND_DOUBT:
@@ -167,7 +173,8 @@ class _Search:
         beyond = -margin_px(corners, self.picture.shape)
         if beyond > MOST_OUTSIDE * np.ptp(corners, axis=0).max():
             raise TargetError(
-                f"the target reaches {beyond:.0f} pixels out of the frame: move it, or the camera, back in"
+                f"the target reaches {beyond:.0f} pixels out of the frame: move it, or the camera, back in",
+                [corners],
             )
         if not is_carpet(self.target):
             return corners
@@ -184,10 +191,12 @@ class _Search:
         if (np.ptp(large, axis=0) > shape).any():
             raise TargetError(
                 f"the target is larger than the frame: it would span {side_px:.0f} of {shape[0]} × {shape[1]} pixels; "
-                "move the camera back, or show a smaller target"
+                "move the camera back, or show a smaller target",
+                [large],
             )
         raise TargetError(
-            "only a part of the target is in the frame: move it, or the camera, back in"
+            "only a part of the target is in the frame: move it, or the camera, back in",
+            [large],
         )
 
     def others(self, corners: Floats, likely: Sequence[Likely]) -> list[Floats]:
@@ -244,7 +253,8 @@ class _Search:
             )
         return TargetError(
             f"no target found in the frame: the likeliest place correlates {max(self.best.least, 0.0):.2f} with it, "
-            f"{LEAST_AGREEMENT:g} is needed; check [target] in the plan, focus and light, or give its corners_px"
+            f"{LEAST_AGREEMENT:g} is needed; check [target] in the plan, focus and light, or give its corners_px",
+            self.likely[:MOST_SHOWN],
         )
 
 
@@ -263,7 +273,8 @@ def _meant(targets: list[Floats], target: Target, mm_per_pixel: float | None) ->
     side = max(map(mean_side, targets))
     if side < SMALLEST_FITTED_PX:
         raise TargetError(
-            f"the target spans {side:.0f} pixels: a fit wants 60 and more; come nearer, or show a larger one"
+            f"the target spans {side:.0f} pixels: a fit wants 60 and more; come nearer, or show a larger one",
+            targets,
         )
     of_scale = [
         corners for corners in targets if right_scale(corners, target, mm_per_pixel)
@@ -275,7 +286,8 @@ def _meant(targets: list[Floats], target: Target, mm_per_pixel: float | None) ->
         f"[{row:.0f}, {col:.0f}]" for row, col in (c.mean(axis=0) for c in meant)
     )
     raise TargetError(
-        f"{len(meant)} targets are in the frame, at [row, column] {places}: cover all but one, or give its corners_px"
+        f"{len(meant)} targets are in the frame, at [row, column] {places}: cover all but one, or give its corners_px",
+        meant,
     )
 
 

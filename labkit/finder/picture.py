@@ -84,7 +84,7 @@ class Picture:
         if source.shape == shape:
             return source
         how = cv2.INTER_AREA if min(source.shape) >= min(shape) else cv2.INTER_LINEAR
-        return _single(cv2.resize(source, shape[::-1], interpolation=how))
+        return single(cv2.resize(source, shape[::-1], interpolation=how))
 
     def binning(self, factor: int) -> int:
         """Return the number of pixels along which to bin for about `factor`: whole cells of the filter array, or 1."""
@@ -114,7 +114,7 @@ class Picture:
         to_half[:, 2] += 0.5 / step - 0.5
         how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         source = self._halved(halvings)
-        return _single(
+        return single(
             cv2.warpAffine(
                 source, to_half, shape[::-1], flags=how, borderMode=cv2.BORDER_REPLICATE
             )
@@ -167,7 +167,7 @@ def _grey(colours: NDArray[Any]) -> Singles:
     """Return the mean (rows, columns) of colours (rows, columns, n), or the picture of a single one."""
     if colours.ndim == 3:
         colours = colours.mean(axis=2) if colours.shape[2] > 1 else colours[..., 0]
-    return _single(colours)
+    return single(colours)
 
 
 def _without_pattern(mosaic: Singles, cell: int) -> Singles:
@@ -176,7 +176,7 @@ def _without_pattern(mosaic: Singles, cell: int) -> Singles:
     for row, col in np.ndindex(cell, cell):
         plane = mosaic[row::cell, col::cell]
         grey[row::cell, col::cell] = normalised(plane, plane)
-    return _single(
+    return single(
         cv2.sepFilter2D(grey, -1, KERNEL, KERNEL, borderType=cv2.BORDER_REFLECT_101)
     )
 
@@ -210,8 +210,9 @@ def grey_image(light: ArrayLike, pattern: Sequence[str] = MONO) -> Singles:
 def normalised(image: Floats | Singles, of: Floats | Singles) -> Singles:
     """Return an image with the darkest parts `of` a picture at 0, the brightest at 1, and hot pixels clipped."""
     low, high = np.percentile(of, (0.5, 99.5)) if of.size else (0.0, 0.0)
-    return _single(np.clip((image - low) / max(high - low, 1e-9), -0.2, 1.2))
+    return single(np.clip((image - low) / max(high - low, 1e-9), -0.2, 1.2))
 
 
-def _single(image: NDArray[Any]) -> Singles:
+def single(image: NDArray[Any]) -> Singles:
+    """Return an image in single precision."""
     return np.asarray(image, dtype=np.float32)

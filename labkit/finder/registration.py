@@ -13,11 +13,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from labkit.finder.picture import Picture, normalised
+from labkit.finder.picture import Picture, Singles, normalised, single
 from labkit.target import Target
 from labkit.types import Floats
-
-Singles = NDArray[np.float32]
 
 REGISTRATION_PASSES = ((40, (5,)), (160, (7, 5)), (320, (5,)))
 """Pixels across the target at which it is registered, first roughly: a larger picture is binned down to about this. And the
@@ -54,6 +52,9 @@ PARENT_SIDE = 243
 
 CLEAR_RIM, COMPARED_RIM = 0.04, 0.1
 """Width around the target, in its sides, of what belongs to the target or its blur; and of what registration looks at."""
+
+LIKE_LEVEL = 0.25
+"""Difference from a target's black or white, relative to its range, of a surround of the same kind."""
 
 CLUTTER, NOISY_SHARE = 0.15, 0.02
 """Difference from the stated surround, of the target's own range, that is something else, such as a bright wall beside a black
@@ -181,15 +182,26 @@ def _stands_alone(image: Singles, corners: Floats, target: Target) -> bool:
     """Return whether something else than a stated surround is beside a target: then the target is compared without it."""
     if target.surround is None:
         return True
+    beside = _beside(image, corners)
+    other = np.abs(beside - target.surround) > CLUTTER
+    return bool(np.count_nonzero(other) > NOISY_SHARE * beside.size)
+
+
+def _beside(image: Singles, corners: Floats) -> Singles:
+    """Return the smoothed values beside a quadrilateral."""
+    by = homography(OWN_CORNERS, corners)
     inner, outer = (
-        _covered(mapped(homography(OWN_CORNERS, corners), size * OWN_CORNERS), image.shape)
-        for size in (1 + 2 * CLEAR_RIM, 1 + 2 * COMPARED_RIM)
+        _covered(mapped(by, (1 + 2 * rim) * OWN_CORNERS), image.shape)
+        for rim in (CLEAR_RIM, COMPARED_RIM)
     )
-    beside = cv2.blur(image, (3, 3))[(outer > 0) & (inner == 0)]
-    return bool(
-        np.count_nonzero(np.abs(beside - target.surround) > CLUTTER)
-        > NOISY_SHARE * beside.size
-    )
+    return single(cv2.blur(image, (3, 3))[(outer > 0) & (inner == 0)])
+
+
+def surround_share(picture: Picture, corners: Floats, level: float) -> float:
+    """Return the share of what is beside a target that is about as light as its black, 0, or its white, 1."""
+    image, at, _ = neighbourhood(picture, corners, LIGHT_SIDE)
+    beside = _beside(image, at)
+    return float(np.mean(np.abs(beside - level) < LIKE_LEVEL)) if beside.size else 0.0
 
 
 def light_range(picture: Picture, corners: Floats) -> float:

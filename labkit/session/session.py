@@ -57,6 +57,9 @@ from labkit.session.stored_plan import (
 from labkit.types import FRAME_KINDS, FrameKind
 from labkit.version import __version__
 
+PREFLIGHT_FOLDER = "preflight"
+"""Of test photographs, and of pictures of searches in vain for the target."""
+
 RESULTS_FOLDER, INCOMING_FOLDER, EXPOSING_FOLDER = "results", ".incoming", ".exposing"
 """INCOMING is a photograph on its way into frames/, EXPOSING the folder that a camera writes the next one to."""
 

@@ -361,7 +361,7 @@ def test_a_surround_that_the_photographs_contradict_is_named(
     plan = Plan.load(folder / "plan.toml").replace(target={"surround": "white"})
     (tmp_path / "other.toml").write_text(plan.to_toml())
     line = refusal(["fit", str(folder), "--plan", str(tmp_path / "other.toml")], capfd)
-    assert "the target is found in it if its surround is black" in line
+    assert "the target's surround is black in it" in line
     assert 'the plan has target.surround = "white": write "black"' in line
     # where the corners are given it need not be found
     session, corners = Session.open(folder), [[40, 40], [40, 80], [80, 80], [80, 40]]
