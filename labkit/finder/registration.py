@@ -206,7 +206,8 @@ def surround_share(picture: Picture, corners: Floats, level: float) -> float:
 
 def light_range(picture: Picture, corners: Floats) -> float:
     """Return the difference of the lightest and the darkest parts within a quadrilateral, in the picture's own scale."""
-    factor = picture.binning(max(1, round(mean_side(corners) / LIGHT_SIDE)))
+    # of whole cells: in the pixels of a mosaic colours are on scales of their own
+    factor = picture.binning(max(2, round(mean_side(corners) / LIGHT_SIDE)))
     low = np.clip(np.floor(corners.min(axis=0)).astype(int), 0, np.array(picture.shape) - 1)
     image = picture.part(
         picture.whole_cells(low), np.ceil(corners.max(axis=0)).astype(int) + 1, factor
