@@ -11,6 +11,7 @@ import shutil
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -18,7 +19,6 @@ from numpy.typing import NDArray
 
 from labkit.photographs.decoding import read_photograph
 from labkit.plan import Plan
-from labkit.types import Floats
 from tests.dng import write_dng
 
 GAIN, READ_NOISE = 0.4, 3.0
@@ -37,7 +37,7 @@ class Embedding:
     shape: tuple[int, int] = (4000, 6000)
     place: tuple[int, int] = (1800, 2900)
     turns: int = 0
-    room: Floats | None = None
+    room: NDArray[Any] | None = None
     light: float = 0.5
     seed: int = 1
 
@@ -79,7 +79,7 @@ def turned(
 
 def room_counts(
     how: Embedding,
-    room: Floats | None,
+    room: NDArray[Any] | None,
     black: float,
     white: float,
     rng: np.random.Generator,
