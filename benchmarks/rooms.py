@@ -11,7 +11,7 @@ import argparse
 import csv
 from collections.abc import Iterator
 from pathlib import Path
-from time import perf_counter
+from time import process_time
 
 import cv2
 import numpy as np
@@ -35,12 +35,12 @@ PLACES = 20
 
 
 def searched(photograph: Photograph, target: Target) -> tuple[Floats | None, float, str]:
-    """Return the corners that are found, the seconds, and why none are."""
-    began = perf_counter()
+    """Return the corners that are found, the processor time in seconds, and why none are."""
+    began = process_time()
     try:
-        return find_target(photograph, target), perf_counter() - began, ""
+        return find_target(photograph, target), process_time() - began, ""
     except TargetError as error:
-        return None, perf_counter() - began, str(error)
+        return None, process_time() - began, str(error)
 
 
 def away_px(found: Floats | None, true: Floats) -> float:

@@ -52,8 +52,8 @@ EVEN_DEVIATION = 0.01
 COMPARED_SHARE = 0.94
 """Part of a carpet's side that is compared: anything may be beside it."""
 
-BATCHES = (150, 350)
-"""Likeliest places that are aligned: the first, and more if no carpet is clear among them."""
+MOST_ALIGNED, BATCH = 500, 100
+"""Likeliest places that are aligned, and how many at once: no more follow where a carpet is clear among them."""
 
 FINE_SIDE, FINE_WINDOW, FINE_BLURS = 40, 64, (0.8, 1.6, 3.2)
 """Samples across an aligned carpet, those of the window around it, and the blurs that it may have."""
@@ -108,7 +108,11 @@ def is_carpet(target: Target) -> bool:
 
 
 def likely_carpets(
-    picture: Picture, target: Target, least_px: float, most_px: float = np.inf
+    picture: Picture,
+    target: Target,
+    least_px: float,
+    most_px: float = np.inf,
+    most: int = MOST_ALIGNED,
 ) -> list[Likely]:
     """Return likely places of carpets: clear ones first, from the largest on, then the others, likeliest first.
 
@@ -119,14 +123,15 @@ def likely_carpets(
     picture : the photograph
     target : the carpet, as `is_carpet` knows it
     least_px, most_px : sides of the smallest and the largest carpet that is searched for
+    most : number of likely places that are aligned
     """
     bank = _Bank(target)
     spots = [_spots(picture, at, bank) for at in _scales(picture, least_px, most_px)]
     places = np.concatenate([np.empty((0, 5)), *spots])
-    distinct = _distinct(places[np.argsort(-places[:, 0])], sum(BATCHES))
+    distinct = _distinct(places[np.argsort(-places[:, 0])], most)
     likely = list[Likely]()
-    for first, count in zip((0, *BATCHES), BATCHES, strict=False):
-        batch = distinct[first : first + count]
+    for first in range(0, len(distinct), BATCH):
+        batch = distinct[first : first + BATCH]
         aligned = (bank.aligned(picture, *place[1:]) for place in batch)
         likely += [one for one in aligned if one is not None]
         if any(one.is_clear for one in likely):

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from labkit.errors import TargetError
-from labkit.finder.carpet_search import Likely, is_carpet, likely_carpets
+from labkit.finder.carpet_search import BATCH, Likely, is_carpet, likely_carpets
 from labkit.finder.picture import LEAST_CONTRAST, Picture
 from labkit.finder.registration import (
     BEYOND_DOUBT,
@@ -57,7 +57,7 @@ ANY_CARPET = "sierpinski:order=4,size_mm=30"
 MOST_SHOWN = 6
 """Likely places that a picture of a search in vain shows."""
 
-MOST_REGISTERED = 12
+MOST_REGISTERED = 8
 """Likely places without a clear target that are looked at in the photograph's own pixels."""
 
 MOST_OUTSIDE = 0.05
@@ -123,10 +123,11 @@ def likely_targets(
     Parameters are those of `find_target`.
     """
     if is_carpet(target):
-        for least_px, most_px in ((USUAL_PX, np.inf), (SMALLEST_PX, USUAL_PX)):
-            found = likely_carpets(picture, target, least_px, most_px)
-            clear = sum(one.is_clear for one in found)
-            yield found[: clear + MOST_REGISTERED]
+        found = likely_carpets(picture, target, USUAL_PX)
+        yield found[: sum(one.is_clear for one in found) + MOST_REGISTERED]
+        yield likely_carpets(picture, target, SMALLEST_PX, USUAL_PX, BATCH)[
+            :MOST_REGISTERED
+        ]
         return
     if mm_per_pixel is not None:
         middle = target.size_mm[0] / mm_per_pixel
