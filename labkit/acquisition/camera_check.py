@@ -23,16 +23,17 @@ from labkit.devices.protocols import (
 )
 from labkit.devices.registry import open_camera
 from labkit.errors import CameraError, TargetError
+from labkit.finder.cut import cut_around
 from labkit.finder.lattice import find_targets
 from labkit.finder.picture import Picture
 from labkit.finder.sharpness import blur_px, sharpest_edge_px
 from labkit.photographs.decoding import read_photograph
 from labkit.photographs.exposure import exposure_problem, pixel_noise
-from labkit.photographs.photograph import Photograph
+from labkit.photographs.photograph import WHOLE, Cut, Photograph
 from labkit.plan import Plan
 from labkit.plan.sensor import MONO
 from labkit.target import open_target
-from labkit.types import Counts
+from labkit.types import Counts, Floats
 
 BARE = """
 lens = {{ focal_length_mm = 50.0, f_number = 8.0 }}
@@ -70,9 +71,27 @@ class ColourReport:
 
 
 @dataclass(frozen=True, slots=True)
+class Sighting:
+    """Result of the search for the plan's target in a photograph.
+
+    words: the result in words; place: rows and columns that light and sharpness are judged in, of the target or the whole
+    frame; dark: whether there is no light; light: fault of the light, None without one; tiles_px: (n, 4, 2) corners of the
+    targets, None if not found; blur_px: diameter of the blur circle on the first one.
+    """
+
+    words: str
+    place: Cut
+    dark: bool
+    light: str | None
+    tiles_px: Floats | None = None
+    blur_px: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class FrameReport:
     """A test photograph: its exposure, light and sharpness, and remarks for the user.
 
+    colours: light on the plan's target where it is found, else in the whole frame;
     edge_px: rise of the sharpest edges, pixels; blur_px: diameter of the blur circle on the
     plan's target; each None if not measured. target: result of the search for the target,
     in words.
@@ -173,48 +192,52 @@ def take_test_frame(alone: LoneCamera) -> FrameReport:
         frame = camera.expose(Path(folder) / "test")
         mosaic = read_photograph(frame.path, alone.plan.sensor)
     check = camera.check(1) if isinstance(camera, Checkable) else Check()
-    dark, light = light_problem(mosaic, alone)
-    blur, words = (
-        (None, "not looked for: there is no light")
-        if dark
-        else _blur_on_target(mosaic, alone)
-    )
+    sighting = sighted(mosaic, alone)
+    place, light = sighting.place, sighting.light
     return FrameReport(
         exposure_s=frame.exposure_s,
         iso=frame.iso or mosaic.iso or 0,
         pixels=(mosaic.counts.shape[0], mosaic.counts.shape[1]),
-        colours=tuple(_colours(mosaic)),
-        edge_px=None if dark else sharpest_edge_px(mosaic),
-        blur_px=blur,
-        target=words,
+        colours=tuple(_colours(mosaic.cropped(place))),
+        edge_px=None if sighting.dark else sharpest_edge_px(mosaic, place),
+        blur_px=sighting.blur_px,
+        target=sighting.words,
         problems=((f"the photograph {light}",) if light else ()) + check.problems,
         by_hand=check.by_hand,
     )
 
 
-def _blur_on_target(mosaic: Photograph, alone: LoneCamera) -> tuple[float | None, str]:
-    """Return the diameter in pixels of the blur circle on the plan's target, and the search's result in words.
-
-    The diameter is None if the target is not found.
-    """
+def sighted(mosaic: Photograph, alone: LoneCamera) -> Sighting:
+    """Return where a photograph shows the plan's target, how it is blurred, and how the light is there."""
+    dark, light = _light_problem(mosaic, alone, WHOLE)
+    if dark:
+        return Sighting("not looked for: there is no light", WHOLE, dark, light)
     if not alone.planned:
-        return None, "not looked for: give a plan that describes it"
+        why = "not looked for: give a plan that describes it"
+        return Sighting(why, WHOLE, dark, light)
+    picture = Picture.of(mosaic)
     try:
-        picture = Picture.of(mosaic)
-        at = find_targets(picture, alone.plan.target)[0]
-        blur = blur_px(picture, open_target(alone.plan.target), at)
-        return blur, "found, wholly in the frame"
+        tiles = find_targets(picture, alone.plan.target)
     except TargetError as error:
-        return None, str(error)
+        return Sighting(str(error), WHOLE, dark, light)
+    # a window beside the target may be overexposed, and a room bright where the target is dark
+    rows, columns = cut_around(list(tiles), picture.shape)
+    top, left = picture.whole_cells((rows.start, columns.start)).tolist()
+    place = slice(top, rows.stop), slice(left, columns.stop)
+    dark, light = _light_problem(mosaic, alone, place)
+    blur = blur_px(picture, open_target(alone.plan.target), tiles[0])
+    return Sighting("found, wholly in the frame", place, dark, light, tiles, blur)
 
 
-def light_problem(mosaic: Photograph, alone: LoneCamera) -> tuple[bool, str | None]:
-    """Return whether a photograph is dark, and what is wrong with its light in the plan's channels, if anything."""
+def _light_problem(
+    mosaic: Photograph, alone: LoneCamera, place: Cut
+) -> tuple[bool, str | None]:
+    """Return whether a place is dark, and what is wrong with its light in the plan's channels, if anything."""
     names = _names(mosaic)
     wanted = {channel.name for channel in alone.plan.channel}
     if alone.planned and mosaic.pattern != MONO:
         names = [name for name in names if name in wanted]
-    light = exposure_problem(mosaic, "target", names)
+    light = exposure_problem(mosaic, "target", names, place)
     if light is None or not light.startswith("is black"):
         return False, light
     return (

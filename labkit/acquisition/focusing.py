@@ -10,23 +10,19 @@ from pathlib import Path
 
 import numpy as np
 
-from labkit.acquisition.camera_check import LoneCamera, light_problem, open_lone_camera
+from labkit.acquisition.camera_check import LoneCamera, open_lone_camera, sighted
 from labkit.acquisition.sequence import shown_target
 from labkit.devices.context import DeviceContext
 from labkit.devices.observer import Observer, Viewer
 from labkit.devices.protocols import ExposureSettings, Previewing, Rail
 from labkit.devices.registry import observers_of, open_monitor, open_rail
-from labkit.errors import PlanError, TargetError
+from labkit.errors import PlanError
 from labkit.finder.find_target import margin_px
-from labkit.finder.lattice import find_targets
-from labkit.finder.picture import Picture
 from labkit.finder.preview import Look
-from labkit.finder.sharpness import blur_px, sharpest_edge_px
+from labkit.finder.sharpness import sharpest_edge_px
 from labkit.photographs.decoding import read_photograph
 from labkit.photographs.photograph import Photograph
 from labkit.plan import Plan, Sensor
-from labkit.target import open_target
-from labkit.types import Floats
 
 LIVE = Sensor(pixel_pitch_um=1.0)
 """Of a picture of the live view, which says all else by itself."""
@@ -40,7 +36,7 @@ class FocusReading:
     """One photograph for focusing. source: FRAME or LIVE_VIEW_SOURCE, whose pixels are not the sensor's.
 
     edge_px: rise of the sharpest edges in pixels, None without light or edges;
-    full_percent: share of saturated pixels; corners_px: (4, 2) of the target, or of the
+    full_percent: share of saturated pixels; both on the target, if it is found; corners_px: (4, 2) of the target, or of the
     grid's target nearest to the middle, None if not searched or not found; blur_px:
     diameter of the blur circle on it; margin_px: from the targets to the frame's edge;
     note: fault of the light, or why there is no
@@ -149,47 +145,41 @@ def focus(
                 if seen is None
                 else read_photograph(seen, LIVE)
             )
-        reading = _read(number, LIVE_VIEW_SOURCE if live else FRAME_SOURCE, mosaic, alone)
+        source = LIVE_VIEW_SOURCE if live else FRAME_SOURCE
+        look = Look(f"{source} {number}", None, mosaic)
+        _show(look, observers)  # the picture at once: the search may take seconds
+        reading = _read(number, source, mosaic, alone)
         corners = None if reading.corners_px is None else np.array([reading.corners_px])
+        _show(
+            replace(look, corners_px=corners, edge_px=reading.edge_px, note=reading.note),
+            observers,
+        )
         for observer in observers:
-            if isinstance(observer, Viewer):
-                name = f"{reading.source} {number}"
-                observer.saw(
-                    Look(name, None, mosaic, corners, reading.edge_px, reading.note)
-                )
             observer.may_go_on()
         yield reading
 
 
+def _show(look: Look, observers: Sequence[Observer]) -> None:
+    for observer in observers:
+        if isinstance(observer, Viewer):
+            observer.saw(look)
+
+
 def _read(number: int, source: str, mosaic: Photograph, alone: LoneCamera) -> FocusReading:
-    dark, note = light_problem(mosaic, alone)
-    corners, blur, margin = (
-        (None, None, None) if dark or not alone.planned else _target(mosaic, alone)
-    )
-    if not note and alone.planned and corners is None:
+    sighting = sighted(mosaic, alone)
+    note, tiles = sighting.light, sighting.tiles_px
+    if not note and alone.planned and tiles is None:
         note = "no target found"
+    part = mosaic.cropped(sighting.place)
     return FocusReading(
         number=number,
         source=source,
-        edge_px=None if dark else sharpest_edge_px(mosaic),
-        full_percent=float(100 * np.mean(mosaic.counts >= mosaic.white)),
+        edge_px=None if sighting.dark else sharpest_edge_px(mosaic, sighting.place),
+        full_percent=float(100 * np.mean(part.counts >= mosaic.white)),
         corners_px=None
-        if corners is None
-        else tuple((float(row), float(col)) for row, col in corners),
-        blur_px=blur,
-        margin_px=margin,
+        if tiles is None
+        else tuple((float(row), float(col)) for row, col in tiles[0]),
+        blur_px=sighting.blur_px,
+        margin_px=None if tiles is None else margin_px(tiles, mosaic.shape),
         note=note or "",
     )
-
-
-def _target(
-    mosaic: Photograph, alone: LoneCamera
-) -> tuple[Floats | None, float | None, float | None]:
-    """Return the target's corners, its blur circle and its distance from the frame's edge, in pixels."""
-    target = open_target(alone.plan.target)
-    picture = Picture.of(mosaic)
-    try:
-        tiles = find_targets(picture, alone.plan.target)
-    except TargetError:
-        return None, None, None
-    return tiles[0], blur_px(picture, target, tiles[0]), margin_px(tiles, picture.shape)

@@ -37,7 +37,7 @@ from labkit.optics.wavefront import FARTHEST_WAVES
 from labkit.panel.picture import PanelPicture
 from labkit.photographs.decoding import read_photograph
 from labkit.photographs.exposure import exposure_problem
-from labkit.photographs.photograph import WHOLE
+from labkit.photographs.photograph import WHOLE, Cut, Photograph
 from labkit.plan import Plan
 from labkit.session.session import PREFLIGHT_FOLDER
 from labkit.target import open_target
@@ -167,14 +167,16 @@ class _Round:
             self.findings.corners_px += list(corners)
             blur = self._blur_px(look, range_mm, shown.seen)
         note = "; ".join(map(str, self.findings.problems[before:])).partition(", see ")[0]
-        self._keep(replace(look, note=note, edge_px=sharpest_edge_px(look.mosaic)), shown)
+        place = _place(corners, look.mosaic)
+        edge = sharpest_edge_px(look.mosaic, place)
+        self._keep(replace(look, note=note, edge_px=edge), shown)
         return blur
 
     def _check_white(self, white: _Kept, range_mm: float, corners: Floats | None) -> str:
         """Record how white is exposed, where the target is found (n, 4, 2) or in the whole frame."""
         mosaic = white.look.mosaic
         names = (channel.name for channel in self.plan.channel)
-        place = WHOLE if corners is None else cut_around(list(corners), mosaic.shape)
+        place = _place(corners, mosaic)
         problem = exposure_problem(mosaic, "flat", names, place)
         self.findings.measured["exposure"] = problem or "right"
         if problem:
@@ -272,6 +274,11 @@ class _Kept:
     def seen(self) -> Path:
         """Path of the photograph's preview."""
         return self.file.with_name(f"{self.file.stem}_seen.jpg")
+
+
+def _place(corners: Floats | None, mosaic: Photograph) -> Cut:
+    """Return rows and columns around the targets (n, 4, 2); the whole frame where none are found."""
+    return WHOLE if corners is None else cut_around(list(corners), mosaic.shape)
 
 
 def _check_disk(folder: Path, frames: int, findings: Findings) -> None:

@@ -60,12 +60,10 @@ def chart_edges(frame: ChannelFrame, cells: tuple[int, int], each: int) -> Chart
     ------
     DataError : no edge is whole and unclipped
     """
-    row, column = frame.pixels.places[0]
-    step = frame.pixels.period
-    pieces = edge_pieces(frame.light[row::step, column::step], CORNER)
+    pieces = edge_pieces(frame.first_plane(), CORNER)
     cut = sum(piece.cut for piece in pieces)
     whole = _once([piece for piece in pieces if piece.step > LEAST_STEP])
-    places = [Place(of.box, of) for of in (one.on((row, column), step) for one in whole)]
+    places = [frame.found_at(one) for one in whole]
     unclipped = [place for place in places if frame.planes(place)]
     clipped = len(places) - len(unclipped)
     if not unclipped:
@@ -73,7 +71,7 @@ def chart_edges(frame: ChannelFrame, cells: tuple[int, int], each: int) -> Chart
             f"no chart was found: of its straight edges between two even sides, {cut} are cut by the frame and {clipped} "
             "clipped; photograph a checkerboard or slanted squares, sides of 80 pixels at least, without clipping"
         )
-    size = np.array(frame.light.shape) / cells
+    size = np.array(frame.part.shape) / cells
     by_cell: dict[Cell, list[Place]] = {}
     for place in unclipped:
         assert place.found is not None

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
+from labkit.edges.outcome import Backdrop
 from labkit.figure_style import INK, SOFT_INK, WIDTH_IN, banded
 from labkit.plan import leading_channel
 from labkit.types import Floats
@@ -43,18 +44,15 @@ MAP_RAMP = "viridis"
 EDGE_PT, EDGE_RIM_PT = 3.0, 4.6
 
 
-def draw_figures(outcome: ChartOutcome, grey: Floats) -> dict[str, Figure]:
-    """Return the figures by name.
-
-    grey : (rows, columns) of the sharpest photograph, about 0 to 1
-    """
+def draw_figures(outcome: ChartOutcome, backdrop: Backdrop) -> dict[str, Figure]:
+    """Return the figures by name. backdrop: the sharpest photograph."""
     name = leading_channel(outcome.channels)
     edges = [
         edge
         for edge in outcome.edges
         if edge.channel == name and edge.of.photograph == outcome.sharpest
     ]
-    figures = {"profiles": _profiles(edges), "map": _map(edges, grey)}
+    figures = {"profiles": _profiles(edges), "map": _map(edges, backdrop)}
     if surfaces := outcome.surfaces.get(name):
         figures["focus"] = _focus(outcome.foci[name], surfaces)
     return figures
@@ -186,14 +184,14 @@ def _signed_mm(height_mm: Floats, azimuth: int) -> float:
     return float(np.copysign(np.hypot(y, x), along))
 
 
-def _map(edges: list[ChartEdge], grey: Floats) -> Figure:
+def _map(edges: list[ChartEdge], backdrop: Backdrop) -> Figure:
     """Draw each edge in the colour of its MTF50 over the photograph."""
-    rows, columns = grey.shape
     figure = Figure(
-        figsize=(WIDTH_IN, WIDTH_IN * 0.86 * rows / columns + 0.8), layout="constrained"
+        figsize=(WIDTH_IN, WIDTH_IN * 0.86 * backdrop.tallness + 0.8), layout="constrained"
     )
     axes = figure.subplots()
-    axes.imshow(np.sqrt(grey.clip(0, 1)), cmap="gray", vmin=-0.5, vmax=1.3)
+    grey = np.sqrt(backdrop.grey.clip(0, 1))
+    axes.imshow(grey, cmap="gray", vmin=-0.5, vmax=1.3, extent=backdrop.extent_px)
     axes.grid(False)
     axes.set(
         xlabel="column, px",

@@ -24,7 +24,7 @@ from labkit.charts.place_fit import PlaceFit, PlaceTask, fit_place
 from labkit.edges.box_fit import BoxTask
 from labkit.edges.boxes import ChannelFrame, Place, read_frames
 from labkit.edges.camera import Camera, camera_of
-from labkit.edges.measurement import measured_channels
+from labkit.edges.measurement import FINDING, measured_channels
 from labkit.errors import DataError
 from labkit.execute import Workers, default_workers
 from labkit.findings import Finding, each_once, found
@@ -87,6 +87,7 @@ def measure_chart(
         raise DataError(
             f"{columns} places across, {each} edges: an odd number of places from 3 on and 1 edge or more are needed"
         )
+    progress(0, 0, FINDING)
     photographs = read_frames(paths, plan)
     first = photographs[0]
     names = measured_channels(first, plan, channels)

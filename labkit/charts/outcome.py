@@ -14,6 +14,7 @@ import numpy as np
 from labkit.charts.chart_edges import is_aligned
 from labkit.charts.focal_surface import FOCUS_KINDS, FocalSurface, PlaceFocus
 from labkit.charts.place_fit import EdgeResponse, PlaceFit
+from labkit.edges.outcome import Backdrop
 from labkit.edges.response import Response, response_along
 from labkit.files import write_folder
 from labkit.findings import Finding
@@ -237,10 +238,10 @@ class ChartOutcome:
         ]
         return [["focal surface", *FocalSurface.HEADING], *rows] if rows else []
 
-    def write(self, folder: Path, grey: Floats) -> list[Path]:
+    def write(self, folder: Path, backdrop: Backdrop) -> list[Path]:
         """Write chart.json and the figures, and return their paths.
 
-        grey : (rows, columns) of the sharpest photograph, about 0 to 1. Raises InputError if they cannot be written.
+        backdrop : the sharpest photograph. Raises InputError if they cannot be written.
         """
         from labkit.charts.figures import draw_figures
         from labkit.figure_style import png, styled
@@ -248,7 +249,7 @@ class ChartOutcome:
         text = json.dumps(self.as_json(), indent=1, allow_nan=False).encode() + b"\n"
         files = {"chart.json": text}
         with styled():
-            for name, figure in draw_figures(self, grey).items():
+            for name, figure in draw_figures(self, backdrop).items():
                 files[f"{name}.png"] = png(figure)
         return write_folder(folder, files)
 

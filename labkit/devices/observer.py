@@ -47,7 +47,7 @@ class Viewer(Protocol):
     """An observer that also shows photographs that do not become frames: in preflight and focusing."""
 
     def saw(self, look: Look) -> None:
-        """Receive a judged photograph."""
+        """Receive a photograph, before and after it is judged."""
         ...
 
 

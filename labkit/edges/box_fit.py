@@ -45,7 +45,7 @@ class BoxTask:
         """Return the task of one box in all frames. Raises DataError for too few pixels."""
         regions = tuple(of.region(place, j) for j, of in enumerate(frames))
         # rounding adds to the read noise
-        rounding = float(np.mean(frames[0].rounding[place.slices]))
+        rounding = float(np.mean(frames[0].read(place).rounding))
         read_variance = camera.noise.read_variance + rounding
         noise = replace(camera.noise, read_variance=read_variance)
         camera = replace(camera, noise=noise)

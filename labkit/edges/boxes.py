@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -36,39 +37,71 @@ class Place:
         return slice(r0, r1), slice(c0, c1)
 
 
-@dataclass(frozen=True, eq=False)
-class ChannelFrame:
-    """One channel of a photograph: (rows, columns) counts above black, usable pixels, counts² of rounding, and its pixels."""
+class BoxPixels(NamedTuple):
+    """Pixels (rows, columns) of a box: counts above black, whether usable for a channel, and counts² of rounding."""
 
-    name: str
     light: Floats
     usable: Bools
     rounding: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class ChannelFrame:
+    """One channel of a photograph, whose numbers are made box by box: of a whole frame they would take many times its size.
+
+    Attributes
+    ----------
+    part : the photograph, of a picture in colours this colour alone
+    pixels : the channel's
+    """
+
+    name: str
+    part: Photograph
     pixels: ChannelPixels
 
     @classmethod
     def of(cls, photograph: Photograph, name: str) -> ChannelFrame:
         """Return a channel of a photograph."""
-        part = photograph.part(name)
-        usable = part.channel_mask(name) & ~part.saturated
-        pixels = photograph.pixels(name)
-        return cls(name, part.light, usable, part.rounding_variance, pixels)
+        return cls(name, photograph.part(name), photograph.pixels(name))
+
+    def first_plane(self) -> Floats:
+        """Return counts above black (rows, columns) of the channel's first plane."""
+        (row, column), step = self.pixels.places[0], self.pixels.period
+        cell = ((first + step * np.arange(2)) % 2 for first in (row, column))
+        black = self.part.black[np.ix_(*cell)]
+        counts = self.part.counts[row::step, column::step]
+        return replace(self.part, counts=counts, black=black).light
+
+    def found_at(self, edge: FoundEdge) -> Place:
+        """Return the place of an edge that was found in the first plane, in samples."""
+        found = edge.on(self.pixels.places[0], self.pixels.period)
+        (rows, columns), (r0, c0, r1, c1) = self.part.shape, found.box
+        # the last sample of a plane need not have a whole cell
+        return Place((r0, c0, min(r1, rows), min(c1, columns)), found)
 
     def find_places(self, most: int) -> list[Place]:
         """Find edges in the channel's first plane, `most` at most."""
-        row, column = self.pixels.places[0]
-        step = self.pixels.period
-        plane = self.light[row::step, column::step]
-        found = find_edges(plane, (row, column), step, most)
-        return [Place(each.box, each) for each in found]
+        return [self.found_at(edge) for edge in find_edges(self.first_plane(), most)]
+
+    def read(self, place: Place) -> BoxPixels:
+        """Return the pixels of a place's box."""
+        cell = max(2, self.pixels.period)
+        starts = [side.start // cell * cell for side in place.slices]
+        whole = tuple(map(slice, starts, place.box[2:]))
+        around = replace(self.part, counts=self.part.counts[whole])
+        usable = around.channel_mask(self.name) & ~around.saturated
+        (r0, c0), (top, left) = place.box[:2], starts
+        inside = np.s_[r0 - top :, c0 - left :]
+        return BoxPixels(
+            around.light[inside], usable[inside], around.rounding_variance[inside]
+        )
 
     def region(self, place: Place, frame: int) -> Region:
         """Return the usable pixels in a box, or around the found edge. Raises DataError for a wrong box, and for too few."""
         if place.found is None:
-            _refuse_box(place.box, self.light.shape)
-        cut = place.slices
-        y, x = np.mgrid[cut].astype(float)
-        used = self.usable[cut]
+            _refuse_box(place.box, self.part.shape)
+        light, used, _ = self.read(place)
+        y, x = np.mgrid[place.slices].astype(float)
         r0, c0, r1, c1 = place.box
         centre = ((r0 + r1 - 1) / 2, (c0 + c1 - 1) / 2)
         if place.found is not None:
@@ -78,23 +111,23 @@ class ChannelFrame:
             raise DataError(
                 f"{used.sum()} usable pixels of channel {self.name} are in it, {LEAST_REGION_PIXELS} are needed"
             )
-        return Region(y[used], x[used], self.light[cut][used], centre, frame)
+        return Region(y[used], x[used], light[used], centre, frame)
 
     def planes(self, place: Place) -> tuple[Plane, ...]:
         """Return a box's samples by plane, all of equal size; none if a sample is clipped."""
+        light, usable, _ = self.read(place)
         step = self.pixels.period
-        r0, c0, r1, c1 = place.box
+        r0, c0, *_ = place.box
         firsts = [
-            (r0 + (row - r0) % step, c0 + (column - c0) % step)
-            for row, column in self.pixels.places
+            ((row - r0) % step, (column - c0) % step) for row, column in self.pixels.places
         ]
-        cuts = [np.s_[row:r1:step, column:c1:step] for row, column in firsts]
-        if not all(self.usable[cut].all() for cut in cuts):
+        cuts = [np.s_[row::step, column::step] for row, column in firsts]
+        if not all(usable[cut].all() for cut in cuts):
             return ()
-        rows, columns = np.min([self.light[cut].shape for cut in cuts], axis=0)
+        rows, columns = np.min([light[cut].shape for cut in cuts], axis=0)
         return tuple(
-            Plane(self.light[cut][:rows, :columns], first, step)
-            for cut, first in zip(cuts, firsts, strict=True)
+            Plane(light[cut][:rows, :columns], (r0 + row, c0 + column), step)
+            for cut, (row, column) in zip(cuts, firsts, strict=True)
         )
 
 

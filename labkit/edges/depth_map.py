@@ -7,7 +7,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from labkit.edges.found_edges import Box
-from labkit.edges.outcome import EdgesOutcome
+from labkit.edges.outcome import Backdrop, EdgesOutcome
 from labkit.figure_style import INK, SOFT_INK, WIDTH_IN
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
@@ -18,17 +18,21 @@ WIDE_PT, RIM_PT = 4.0, 6.5
 LABEL_BOX = {"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 1.0}
 
 
-def draw_depth_map(grey: Floats, outcome: EdgesOutcome) -> Figure:
-    """Draw each edge in the colour of its range over the grey picture; without ranges, of its defocus.
+def draw_depth_map(backdrop: Backdrop, outcome: EdgesOutcome) -> Figure:
+    """Draw each edge in the colour of its range over the photograph; without ranges, of its defocus.
 
-    grey: (rows, columns) about 0 to 1, of the raw's pixels. Rejected boxes are drawn dashed.
+    Rejected boxes are drawn dashed.
     """
-    rows, columns = grey.shape
-    size = (WIDTH_IN, WIDTH_IN * 0.86 * rows / columns + 1.1)
+    size = (WIDTH_IN, WIDTH_IN * 0.86 * backdrop.tallness + 1.1)
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.subplots()
     axes.imshow(
-        np.sqrt(grey.clip(0, 1)), cmap="gray", vmin=-0.1, vmax=1.3, interpolation="nearest"
+        np.sqrt(backdrop.grey.clip(0, 1)),
+        cmap="gray",
+        vmin=-0.1,
+        vmax=1.3,
+        interpolation="nearest",
+        extent=backdrop.extent_px,
     )
     axes.grid(False)
     axes.set(xlabel="column, px", ylabel="row, px")

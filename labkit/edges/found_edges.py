@@ -73,15 +73,12 @@ class FoundEdge:
         return bool(abs(across) > APART_ACROSS * DEEP or abs(along) > APART_ALONG * reach)
 
 
-def find_edges(
-    picture: Floats, first: tuple[int, int] = (0, 0), step: int = 1, most: int = 60
-) -> list[FoundEdge]:
-    """Find straight edges between two even sides, the clearest first, none upon another.
+def find_edges(picture: Floats, most: int = 60) -> list[FoundEdge]:
+    """Find straight edges between two even sides, the clearest first, none upon another, in samples.
 
     Parameters
     ----------
     picture : (rows, columns) of a colour, counts above black
-    first, step : (row, column) of the first sample in the raw, and pixels from sample to sample
     most : number of edges
     """
     found: list[FoundEdge] = []
@@ -89,7 +86,7 @@ def find_edges(
     for edge in sorted(edges, key=lambda edge: -edge.step * edge.length_px):
         if len(found) < most and all(edge.apart(other) for other in found):
             found.append(edge)
-    return [edge.on(first, step) for edge in found]
+    return found
 
 
 def edge_pieces(picture: Floats, trim: float = 0.0) -> list[FoundEdge]:

@@ -30,6 +30,7 @@ from labkit.uncertain import Uncertain
 
 MOST_EDGES = 60
 NEAR_LINE_PX = 3  # pixels as near to a line show how far it extends
+FINDING = "finding edges"
 STEP = "fitting edges"
 
 
@@ -80,6 +81,7 @@ def measure_edges(
     paths = [images] if isinstance(images, Path | str) else images
     plan = plan if isinstance(plan, Plan) else Plan.load(Path(plan))
     results = psf if psf is None or isinstance(psf, Results) else Results.load(psf)
+    progress(0, 0, FINDING)
     photographs = read_frames([Path(path) for path in paths], plan)
     first = photographs[0]
     names = measured_channels(first, plan, channels, results)

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,10 +16,11 @@ from labkit.edges.found_edges import Box
 from labkit.edges.response import Response
 from labkit.errors import TargetError
 from labkit.files import write_folder
-from labkit.finder.picture import grey_image
+from labkit.finder.picture import Picture, grey_image
 from labkit.findings import Finding, found
 from labkit.photographs.decoding import read_photograph
 from labkit.plan import Plan, leading_channel
+from labkit.plan.sensor import MONO
 from labkit.results.schema import FindingEntry
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
@@ -27,6 +28,7 @@ from labkit.uncertain import Uncertain
 CURVE_POINTS = 40
 DIGITS = 6
 LINE_DIGITS = 2
+MOST_DRAWN_PX = 2000  # of a photograph below its measurements, along its longer side
 DISAGREEMENT_STDS = 4.0
 """Standard errors of a difference, beyond which two methods disagree."""
 
@@ -238,21 +240,50 @@ class EdgesOutcome:
         from labkit.edges.depth_map import draw_depth_map
         from labkit.figure_style import png, styled
 
-        grey = grey_picture(image, plan)
+        backdrop = grey_picture(image, plan)
         with styled():
-            picture = png(draw_depth_map(grey, self))
+            picture = png(draw_depth_map(backdrop, self))
         text = json.dumps(self.as_json(), indent=1, allow_nan=False).encode() + b"\n"
         return write_folder(folder, {"edges.json": text, "edges.png": picture})
 
 
-def grey_picture(image: Path, plan: Plan) -> Floats:
-    """Return the grey picture (rows, columns) of a photograph, about 0 to 1, that measurements are drawn over."""
+class Backdrop(NamedTuple):
+    """A photograph that measurements are drawn over.
+
+    Attributes
+    ----------
+    grey : (rows, columns), about 0 to 1; of a large photograph means over squares of pixels
+    extent_px : left, right, bottom and top of it in pixels of the raw, whose centres are at integers
+    """
+
+    grey: Floats
+    extent_px: tuple[float, float, float, float]
+
+    @property
+    def tallness(self) -> float:
+        """Height over width."""
+        left, right, bottom, top = self.extent_px
+        return (bottom - top) / (right - left)
+
+
+def grey_picture(image: Path, plan: Plan) -> Backdrop:
+    """Return a photograph's grey picture, as fine as it is drawn."""
     photograph = read_photograph(image, plan.sensor)
+    picture = Picture.of(photograph)
+    pattern = photograph.pattern
+    step = picture.binning(max(photograph.shape) // MOST_DRAWN_PX)
+    if step > 1:
+        means = picture.part((0, 0), picture.shape, step)
+        light, pattern = np.asarray(means - photograph.black.mean(), np.float64), MONO
+    else:
+        light = photograph.light
     try:
-        return np.asarray(grey_image(photograph.light, photograph.pattern), np.float64)
+        grey = np.asarray(grey_image(light, pattern), np.float64)
     except TargetError:  # nearly even
         rows, columns = photograph.shape
-        return np.asarray(photograph.light[:rows, :columns] / photograph.full_light)
+        grey = light[:rows, :columns] / photograph.full_light
+    rows, columns = (step * size for size in grey.shape)
+    return Backdrop(grey, (-0.5, columns - 0.5, rows - 0.5, -0.5))
 
 
 def _responses(at: Floats, responses: Mapping[str, Response | None]) -> dict[str, Any]:

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labkit.photographs.photograph import Photograph
-from labkit.plan.sensor import IN_COLOURS
 from labkit.types import Floats
 
 JPEG_PREVIEW_PX = 900
@@ -20,7 +19,7 @@ RED, CYAN, ORANGE, BLACK = (40, 40, 230), (255, 220, 40), (30, 140, 255), (0, 0,
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """A judged photograph that is no frame of a session: from a preflight or for focusing.
+    """A photograph that is no frame of a session, judged or still to be: from a preflight or for focusing.
 
     corners_px: (n, 4, 2) of the targets (row, col), None if none is found; edge_px: rise of the
     sharpest edges in pixels, None for an even image; note: remark on the photograph; likely_px:
@@ -46,14 +45,16 @@ def jpeg(
     corners_px: (n, 4, 2) of the targets (row, column); likely_px: of places where one was
     looked for in vain, outlined and numbered.
     """
-    level, full = _cells(mosaic)
+    # coarse first, and still finer than the preview: no copy of the whole frame is made
+    step = max(2, mosaic.shape[1] // JPEG_PREVIEW_PX // 2 * 2)
+    level, full = _cells(mosaic, step)
     scale = min(1.0, JPEG_PREVIEW_PX / level.shape[1])
     size = max(1, round(level.shape[1] * scale)), max(1, round(level.shape[0] * scale))
     small = cv2.resize(level, size, interpolation=cv2.INTER_AREA)
     grey = np.rint(255 * np.clip(small, 0, 1) ** (1 / 2.2)).astype(np.uint8)
     colour = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
     colour[cv2.resize(full, size, interpolation=cv2.INTER_AREA) > 0] = RED
-    per_pixel = np.array(size) / mosaic.shape[::-1]
+    per_pixel = np.array(size) / (step * np.array(level.shape[::-1]))
     if corners_px is not None:
         _outline(colour, (corners_px[..., ::-1] + 0.5) * per_pixel - 0.5, CYAN)
     for number, corners in enumerate(likely_px, start=1):
@@ -88,20 +89,16 @@ def _outline(
         cv2.polylines(picture, list(points), True, colour, thickness, cv2.LINE_AA, shift)
 
 
-def _cells(mosaic: Photograph) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return (rows/2, cols/2) light, 0 black to 1 white, and the saturated share, of 2×2 pixels each."""
-    light = (mosaic.counts - np.float32(mosaic.black.mean())) / np.float32(
-        mosaic.white - mosaic.black.mean()
-    )
-    full = (mosaic.counts >= mosaic.white).astype(np.float32)
-    return _halved(light.astype(np.float32), mosaic), _halved(full, mosaic)
-
-
-def _halved(values: NDArray[np.float32], mosaic: Photograph) -> NDArray[np.float32]:
-    if mosaic.pattern == IN_COLOURS:
-        values = values.reshape(values.shape[0], -1, len(IN_COLOURS[0])).mean(axis=2)
-    rows, cols = (size // 2 * 2 for size in values.shape)
-    halved: NDArray[np.float32] = (
-        values[:rows, :cols].reshape(rows // 2, 2, cols // 2, 2).mean(axis=(1, 3))
-    )
-    return halved
+def _cells(
+    mosaic: Photograph, step: int
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return light, 0 black to 1 white, and 1 where a pixel is saturated, of squares of step × step pixels."""
+    (high, wide), (rows, cols) = mosaic.shape, (size // step for size in mosaic.shape)
+    pixels = mosaic.counts.reshape(high, wide, -1)[: rows * step, : cols * step]
+    mean = cv2.resize(pixels, (cols, rows), interpolation=cv2.INTER_AREA)
+    grey = np.asarray(mean, np.float32).reshape(rows, cols, -1).mean(axis=2)
+    black = float(mosaic.black.mean())
+    light = (grey - black) / (mosaic.white - black)
+    bands = (pixels >= mosaic.white).reshape(rows, step, -1).any(axis=1)
+    full = bands.reshape(rows, cols, -1).any(axis=2)
+    return np.asarray(light, np.float32), np.asarray(full, np.float32)

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from labkit.errors import TargetError
 from labkit.finder.picture import Picture, grey_image
 from labkit.finder.registration import neighbourhood
-from labkit.photographs.photograph import Photograph
+from labkit.photographs.photograph import WHOLE, Cut, Photograph, overlap
 from labkit.target import Target
-from labkit.types import Counts, Floats
+from labkit.types import Floats
 
 FINEST_PX, BLUR_FACTOR = 0.8, 1.15
 """Blur circles are tried from this diameter on, each larger than the last by this factor."""
@@ -31,12 +31,13 @@ BLUR_SIDE = 500
 """Pixels across the target at most when the blur is measured; a blur that matters is wide in a larger picture too."""
 
 
-def sharpest_edge_px(mosaic: Photograph) -> float | None:
-    """Return edge_px of the lit part of a photograph; None for a nearly even image, such as a flat."""
-    (top, bottom), (left, right) = _lit_part(mosaic.counts)
-    spare = max(0, bottom - top - MOST_LIT_ROWS) // 4 * 2
-    top, bottom = top + spare, bottom - spare
-    part = replace(mosaic, counts=mosaic.counts[top:bottom, left:right])
+def sharpest_edge_px(mosaic: Photograph, place: Cut = WHOLE) -> float | None:
+    """Return edge_px of the lit part of a photograph; None for a nearly even image, such as a flat.
+
+    place: rows and columns with the target, from even ones on, where they are known: the sharpest edges beside it are at
+    other ranges.
+    """
+    part = _lit_part(mosaic, overlap(place, mosaic.box))
     try:
         return edge_px(grey_image(part.light, part.pattern))
     except TargetError:
@@ -64,25 +65,36 @@ def edge_px(image: ArrayLike) -> float:
     )
 
 
-def _lit_part(counts: Counts) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Return rows and columns, from even to even, of the box around pixels brighter than halfway, and a margin."""
-    rows, cols = counts.shape
-    step = max(2, -(-max(rows, cols) // LIT_CELLS) // 2 * 2)
+def _lit_part(mosaic: Photograph, cut: Cut) -> Photograph:
+    """Return the box around a cut's pixels brighter than halfway, and a margin, from even to even rows and columns."""
+    counts = mosaic.counts[mosaic.slices(cut, mosaic.box)]
+    rows, cols = (side.stop - side.start for side in cut)
+    cell = max(2, len(mosaic.pattern))  # what begins elsewhere has other colours
+    step = max(1, max(rows, cols) // LIT_CELLS // cell) * cell
     coarse = cv2.resize(
-        counts, (max(1, cols // step), max(1, rows // step)), interpolation=cv2.INTER_AREA
+        counts.reshape(rows, cols, -1),
+        (max(1, cols // step), max(1, rows // step)),
+        interpolation=cv2.INTER_AREA,
     )
-    lit = (
+    if coarse.ndim == 3:
+        coarse = coarse.mean(axis=2)
+    bright = (
         coarse.astype(np.float64)
         >= (float(np.percentile(coarse, 5)) + float(coarse.max())) / 2
     )
 
-    def span(bright: NDArray[np.intp], size: int) -> tuple[int, int]:
-        return max(0, int(bright.min() - 1) * step), min(
-            size // 2 * 2, int(bright.max() + 3) * step
+    def span(along: NDArray[np.intp], size: int) -> tuple[int, int]:
+        return max(0, int(along.min() - 1) * step), min(
+            size // 2 * 2, int(along.max() + 3) * step
         )
 
-    along_rows, along_cols = np.nonzero(lit)
-    return span(along_rows, rows), span(along_cols, cols)
+    along_rows, along_cols = np.nonzero(bright)
+    (top, bottom), (left, right) = span(along_rows, rows), span(along_cols, cols)
+    spare = max(0, bottom - top - MOST_LIT_ROWS) // 2 // cell * cell
+    lit = slice(top + spare, bottom - spare), slice(left, right)
+    return replace(
+        mosaic, counts=counts[mosaic.slices(lit, (slice(0, rows), slice(0, cols)))]
+    )
 
 
 def blur_px(

@@ -51,7 +51,8 @@ class Watcher:
 
 
 def first(alone: LoneCamera, frames: int, watcher: Watcher) -> list[FocusReading]:
-    return list(focus(alone, [watcher], lambda: len(watcher.looks) < frames))
+    """Watch until so many photographs were shown: each as it comes, and judged."""
+    return list(focus(alone, [watcher], lambda: len(watcher.looks) < 2 * frames))
 
 
 def edge(width: float) -> NDArray[np.float64]:
@@ -80,7 +81,8 @@ def test_the_target_is_found_and_outlined_on_the_simulated_bench(
     assert lit.corners_px[0] == pytest.approx(
         (upper_left[1] / upper_left[2], upper_left[0] / upper_left[2]), abs=0.5
     )
-    look = watcher.looks[1]
+    unjudged, look = watcher.looks[2:]
+    assert (unjudged.name, unjudged.corners_px, unjudged.note) == ("frame 1", None, "")
     assert (look.name, look.edge_px) == ("frame 1", lit.edge_px)
     assert look.corners_px is not None
     assert np.array_equal(np.array([lit.corners_px]), look.corners_px)

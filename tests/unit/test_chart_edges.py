@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from labkit.charts.chart_edges import chart_edges, grid, is_aligned
-from labkit.edges.boxes import ChannelFrame
+from labkit.edges.boxes import ChannelFrame, Place
+from labkit.edges.found_edges import FoundEdge
 from labkit.errors import DataError
 from labkit.photographs.photograph import Photograph
 from labkit.types import Floats
@@ -116,3 +117,26 @@ def test_cells_are_nearly_square_and_odd_in_number(
 )
 def test_edges_along_rows_or_columns_are_told(angle_deg: float, aligned: bool) -> None:
     assert is_aligned(angle_deg) == aligned
+
+
+def test_an_edge_at_the_border_of_a_later_plane_has_its_box_in_the_frame() -> None:
+    # green begins at column 1: a cell of its last sample would end beyond the frame
+    counts = np.full((120, 200), 1000, np.uint16)
+    frame = ChannelFrame.of(Photograph(counts, np.zeros((2, 2)), WHITE, ("RG", "GB")), "G")
+    place = frame.found_at(FoundEdge((0, 72, 60, 100), (30.0, 86.0), 0.0, 48.0, 1.0))
+    assert place.box == (0, 145, 120, 200)
+    assert frame.region(place, 0).counts.size > 1000
+    assert [plane.values.shape for plane in frame.planes(place)] == 2 * [(60, 27)]
+
+
+def test_pixels_of_a_box_are_those_of_the_whole_frame() -> None:
+    rng = np.random.default_rng(1)
+    black = np.array([[500.0, 510.0], [520.0, 530.0]])
+    counts = rng.integers(600, 16000, (60, 80)).astype(np.uint16)
+    photograph = Photograph(counts, black, 15000.0, ("RG", "GB"))
+    for box in ((0, 0, 60, 80), (7, 12, 31, 45), (10, 11, 30, 80)):
+        place = Place(box)
+        light, usable, _ = ChannelFrame.of(photograph, "B").read(place)
+        assert np.array_equal(light, photograph.light[place.slices])
+        expected = photograph.channel_mask("B") & ~photograph.saturated
+        assert np.array_equal(usable, expected[place.slices])

@@ -45,7 +45,7 @@ def test_all_sides_of_a_square_are_found_with_their_normals_towards_the_light() 
 def test_boxes_of_a_plane_are_in_pixels_of_the_raw() -> None:
     whole, plane = (
         find_edges(turned_square(12.0)),
-        find_edges(turned_square(12.0), (1, 0), 2),
+        [edge.on((1, 0), 2) for edge in find_edges(turned_square(12.0))],
     )
     assert [(2 * a + 1, 2 * b) for a, b in (e.middle for e in whole)] == [
         e.middle for e in plane
