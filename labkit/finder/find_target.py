@@ -155,8 +155,9 @@ class _Search:
         corners, agreement = register(self.picture, self.target, start)
         if not is_target_shaped(corners):
             return None
-        self.best = max(self.best, agreement, key=lambda one: one.least)
-        self.likely.append(corners)
+        self.best = max(self.best, agreement, key=lambda one: one.credit)
+        if not any(contains(other, corners) for other in self.likely):
+            self.likely.append(corners)
         if not agreement.is_believable:
             return None
         if self.complaints and agreement.whole < BEYOND_DOUBT:
@@ -253,7 +254,7 @@ class _Search:
                 f"no target found in the frame as the plan describes it, but {other}"
             )
         return TargetError(
-            f"no target found in the frame: the likeliest place correlates {max(self.best.least, 0.0):.2f} with it, "
+            f"no target found in the frame: the likeliest place correlates {max(self.best.credit, 0.0):.2f} with it, "
             f"{LEAST_AGREEMENT:g} is needed; check [target] in the plan, focus and light, or give its corners_px",
             self.likely[:MOST_SHOWN],
         )

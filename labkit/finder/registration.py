@@ -101,9 +101,15 @@ class Agreement:
     @property
     def is_believable(self) -> bool:
         """Whether the photograph agrees with the target everywhere."""
-        if self.blur > FAR_OUT_OF_FOCUS:
-            return self.least >= CLEAR_AGREEMENT and self.detail >= LEAST_DETAIL_AGREEMENT
-        return self.least >= LEAST_AGREEMENT
+        return self.credit >= LEAST_AGREEMENT
+
+    @property
+    def credit(self) -> float:
+        """The least correlation; of a target far out of focus, where more is asked for, in the same measure."""
+        if self.blur <= FAR_OUT_OF_FOCUS:
+            return self.least
+        share = min(self.least / CLEAR_AGREEMENT, self.detail / LEAST_DETAIL_AGREEMENT)
+        return LEAST_AGREEMENT * share
 
     @property
     def least(self) -> float:
