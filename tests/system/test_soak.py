@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from labkit.acquisition.capture import run_plan
@@ -77,7 +78,9 @@ def test_memory_threads_and_handles_stay_flat_over_500_frames(
     assert verify(session) == []
     settled = [held[done] for done in range(SETTLED, FRAMES + 1)]
     early, late = settled[:50], settled[-50:]
-    assert len({(one.threads, one.handles) for one in settled}) == 1
+    assert len({one.handles for one in settled}) == 1
+    # the thread that ends an idle decoding process comes and goes
+    assert np.ptp([one.threads for one in settled]) <= 1
     assert (
         max(one.memory_bytes for one in late) - max(one.memory_bytes for one in early)
         < CREEP_BYTES
