@@ -179,5 +179,5 @@ def test_the_first_photograph_without_a_target_is_named_whichever_ends_first(
     first = next(frame.file for frame in session.frames if frame.kind == "target")
     target = open_target(session.plan.target)
     for run in (None, OneByOne()):
-        with pytest.raises(TargetError, match=f"^{re.escape(first)}: no target$"):
+        with pytest.raises(TargetError, match=f"^{re.escape(first)}: no target, see "):
             observe(session, session.plan, target, channel="G", run=run)
