@@ -191,7 +191,7 @@ def _detailed_tiles(
 
 @dataclass(frozen=True)
 class _Span:
-    """Where a tile may be along one side of the target: ends of its part, its side, and its place on an even grid."""
+    """Places of a tile along one side of the target: ends of its part, its side, and its place on an even grid."""
 
     low: float
     high: float

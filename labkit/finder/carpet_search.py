@@ -18,12 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from labkit.finder.picture import Picture
+from labkit.finder.picture import Picture, Singles
 from labkit.finder.registration import OWN_CORNERS, correlation, mean_side
 from labkit.target import CellTarget, Target
 from labkit.types import Bools, Floats
-
-Singles = NDArray[np.float32]
 
 COARSE_SIDE = 15
 """Samples across a carpet where its middle is searched for. The square in the middle has five."""
@@ -81,7 +79,7 @@ class Likely:
 
     @property
     def is_clear(self) -> bool:
-        """Whether nothing else than the target looks like that."""
+        """Return whether nothing else than the target looks like that."""
         return self.likeness > CLEAR_LIKENESS
 
 

@@ -95,12 +95,12 @@ class Agreement:
 
     @property
     def is_hopeless(self) -> bool:
-        """Whether a rough registration cannot become believable."""
+        """Return whether a rough registration cannot become believable."""
         return self.least < (CLEAR_AGREEMENT if self.blur > FAR_OUT_OF_FOCUS else HOPELESS)
 
     @property
     def is_believable(self) -> bool:
-        """Whether the photograph agrees with the target everywhere."""
+        """Return whether the photograph agrees with the target everywhere."""
         return self.credit >= LEAST_AGREEMENT
 
     @property

@@ -6,14 +6,11 @@ from collections.abc import Iterable, Iterator
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from labkit.finder.carpet_search import Likely
-from labkit.finder.picture import Picture
+from labkit.finder.picture import Picture, Singles
 from labkit.target import Target
 from labkit.types import Floats
-
-Singles = NDArray[np.float32]
 
 TEMPLATE_SIDE = 48
 """Samples along the target's first axis in a copy of the photograph."""

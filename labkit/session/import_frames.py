@@ -294,7 +294,7 @@ def _check_photographs(
 
 @dataclass(frozen=True)
 class _Places:
-    """Where photographs show the target, by range: searched for where it is asked for."""
+    """Places of the target in the frame, by range, each searched for when a photograph needs it."""
 
     rows: list[Row]
     plan: Plan
