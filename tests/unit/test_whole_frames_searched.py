@@ -58,7 +58,7 @@ def test_a_carpet_is_found_anywhere_in_a_room(seed: int) -> None:
     seen = room_with(
         -seed if seed % 5 == 4 else seed, shape, pose, light=light, blur_px=blur_px
     )
-    # in 300 rooms the corners were off by 0.25 px, by a twelfth of the blur, or by 1 / 1400 of the side
+    # in 150 rooms the corners were off by 0.25 px, by a twelfth of the blur, or by 1 / 1400 of the side
     limit = max(0.5, blur_px / 6, pose.side_px / 700)
     assert error_px(find_target(seen, CARPET), pose) < limit
 
