@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from labkit.errors import InputError, SessionError
+from labkit.reading import MOST_NOTE_BYTES, opened_photograph, read_text
 
 MOST_LINKS = 10
 """Number of names in one message."""
@@ -30,12 +31,6 @@ def open_standard_streams() -> None:
             os.fstat(number)
         except OSError:
             os.open(os.devnull, os.O_RDWR)  # the lowest that is free
-
-
-def refuse_special(path: Path) -> None:
-    """Raise OSError for a pipe, a device or a socket, whose reading may never end, or begin."""
-    if path.exists() and not path.is_file() and not path.is_dir():
-        raise OSError(errno.EINVAL, "a pipe or a device; a file is needed", str(path))
 
 
 def write_atomically(path: Path, content: bytes) -> None:
@@ -151,7 +146,8 @@ def copy_durably(source: Path, target: Path) -> str:
     """
     with writing(target):
         target.unlink(missing_ok=True)  # a link is not followed
-    with source.open("rb") as reader, writing(target), target.open("xb") as writer:
+    reader = opened_photograph(source)
+    with reader, writing(target), target.open("xb") as writer:
         shutil.copyfileobj(reader, writer, 1 << 20)
         writer.flush()
         os.fsync(writer.fileno())
@@ -160,7 +156,7 @@ def copy_durably(source: Path, target: Path) -> str:
 
 def sha256_of(path: Path) -> str:
     """Return the SHA-256 of a file's content, in hexadecimal."""
-    with path.open("rb") as file:
+    with opened_photograph(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
@@ -229,7 +225,7 @@ def kept_secret(file: Path) -> str:
     stored serves for this run only.
     """
     with suppress(OSError, UnicodeDecodeError):
-        kept = file.read_text(encoding="ascii").strip()
+        kept = read_text(file, MOST_NOTE_BYTES).strip()
         private = file.stat().st_mode & 0o077 == 0
         if private and re.fullmatch(r"[A-Za-z0-9_-]{22,64}", kept):
             return kept
@@ -238,6 +234,6 @@ def kept_secret(file: Path) -> str:
         file.parent.mkdir(parents=True, exist_ok=True)
         file.unlink(missing_ok=True)
         only_we = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-        with os.fdopen(only_we, "w") as opened:
-            opened.write(made)
+        with os.fdopen(only_we, "w") as writer:
+            writer.write(made)
     return made

@@ -15,6 +15,7 @@ from websockets.sync.client import connect
 from websockets.typing import Origin
 
 from labkit.files import state_folder, write_atomically
+from labkit.reading import MOST_NOTE_BYTES, read_text
 
 PAGE_ANSWER_S = 2.0
 
@@ -40,7 +41,7 @@ def find_pages() -> list[tuple[str, str, str]]:
 
 def _pages(file: Path) -> Iterator[tuple[str, str, str]]:
     try:
-        noted = json.loads(file.read_text(encoding="utf-8"))
+        noted = json.loads(read_text(file, MOST_NOTE_BYTES))
         url = str(noted["url"])
         address = str(noted["address"])
         state = _state(url)
