@@ -111,8 +111,8 @@ def _problem(
     if not stat.S_ISREG(kind):
         return errno.EINVAL, "a pipe or a device; a file is needed"
     if most_bytes is not None and found.st_size > most_bytes:
-        there, most = (f"{count / 1e6:.3g} MB" for count in (found.st_size, most_bytes))
-        return errno.EFBIG, f"{there} long; a file of this kind has {most} at most"
+        words = f"{found.st_size} bytes long; a file of this kind has {most_bytes} at most"
+        return errno.EFBIG, words
     if only_name and found.st_nlink > 1:
         words = "it has a second name (a hard link), whose content would change too; put a copy in its place"
         return errno.EMLINK, words

@@ -203,7 +203,7 @@ def test_a_file_that_the_user_names_is_a_file_of_a_sensible_size(
     with pytest.raises((LabkitError, OSError)) as caught:
         GIVEN[name](tmp_path / "given")
     words = str(caught.value)
-    assert "file is needed" in words or "MB at most" in words or "is a folder" in words
+    assert "file is needed" in words or "at most" in words or "is a folder" in words
 
 
 def test_a_file_that_the_user_names_may_be_a_link(tmp_path: Path) -> None:
@@ -219,7 +219,7 @@ def test_a_file_that_the_user_names_may_be_a_link(tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", ["pipe", "device", "folder", "endless"])
 def test_a_table_of_modes_is_a_file_of_a_sensible_size(tmp_path: Path, kind: str) -> None:
     put(kind, tmp_path / "table.csv")
-    with pytest.raises(ValueError, match=r"cannot be read: ([0-9e.+]+ MB long|a )"):
+    with pytest.raises(ValueError, match=r"cannot be read: (\d+ bytes long|a )"):
         read_table(str(tmp_path / "table.csv"))
 
 
