@@ -60,6 +60,15 @@ def read_text(path: Path, most_bytes: int, *, follow_link: bool = False) -> str:
     return io.StringIO(content.decode("utf-8-sig"), newline=None).read()
 
 
+def read_private(path: Path, most_bytes: int) -> str:
+    """Return the text of a file of this user's that nobody else may read or write. Raises OSError, UnicodeDecodeError."""
+    with opened(path, most_bytes) as file:
+        found = os.fstat(file.fileno())
+        if found.st_uid != os.geteuid() or found.st_mode & 0o077:
+            raise PermissionError(errno.EPERM, "others may read or write it", str(path))
+        return file.read(found.st_size).decode()
+
+
 def opened_to_append(path: Path) -> io.FileIO:
     """Open a file of labkit's own, made if missing, to read it and to append.
 
