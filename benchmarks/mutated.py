@@ -13,6 +13,7 @@ import os
 import resource
 import signal
 import traceback
+import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
@@ -43,6 +44,7 @@ from labkit.photographs.picture_file import read_picture
 from labkit.plan import Plan
 from labkit.results import Results
 from labkit.session.import_frames import read_rows
+from labkit.session.journal import encode
 from labkit.session.session import Session
 from labkit.session.verify import verify
 from labkit.types import no_progress
@@ -51,7 +53,7 @@ from tests.chart_scenes import chart, checkerboard, working_f_number
 from tests.dng import write_dng
 from tests.edge_scenes import FOCUS_MM, box, lens_results, square, write_scene
 from tests.ladders import EXPOSURES_S, ladder
-from tests.mutations import NASTY, mutated
+from tests.mutations import NASTY, mended_png, mutated
 from tests.plans import PORTRAIT, plan_text
 from tests.results_samples import full_results
 
@@ -117,11 +119,18 @@ class FaultError(Exception):
 
 @dataclass
 class Kind:
-    """A kind of input. whole: undamaged contents; read: takes a damaged one."""
+    """A kind of input.
+
+    whole : undamaged contents
+    read : takes a damaged one
+    tokens : put into contents
+    mend : makes the checksums of a damaged content right, as whoever forges a file does; every second input is mended
+    """
 
     whole: Sequence[bytes]
     read: Callable[[bytes], object]
     tokens: Sequence[bytes] = NASTY
+    mend: Callable[[bytes], bytes] = bytes
 
 
 @dataclass
@@ -130,6 +139,33 @@ class Counts:
 
     ends: Counter[str] = field(default_factory=Counter)
     slowest_s: float = 0.0
+
+
+def repacked(content: bytes) -> bytes:
+    """Return a damaged NPZ file with checksums that fit the damage, where its archive can be read."""
+    made = io.BytesIO()
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as old, zipfile.ZipFile(made, "w") as new:
+            for entry in old.infolist():
+                del entry.CRC  # then it is not compared
+                new.writestr(entry.filename, old.open(entry).read(2**24))
+    except Exception:  # zipfile lets through whatever a damaged entry breaks
+        return content
+    return made.getvalue()
+
+
+def rechained(content: bytes) -> bytes:
+    """Return a damaged journal whose lines that are JSON have right checksums."""
+    lines, after = [], ""
+    for line in content.split(b"\n"):
+        try:
+            event = json.loads(line)
+            event = {key: event[key] for key in event if key not in ("check", "after")}
+            line, after = encode(event, after)
+        except (ValueError, TypeError, RecursionError):
+            line += b"\n"
+        lines.append(line)
+    return b"".join(lines)
 
 
 @contextmanager
@@ -185,6 +221,9 @@ def command(*words: str) -> None:
         raise FaultError(f"{(strange + faults)[:1]} {last} status {status}")
     if status:
         raise LabkitError("refused")
+
+
+MENDED = {".npz": repacked, ".jsonl": rechained}
 
 
 def kinds(folder: Path) -> dict[str, Kind]:
@@ -245,8 +284,8 @@ def sessions(folder: Path) -> dict[str, Kind]:
             finally:
                 path.write_bytes(whole)
 
-        binary = path.suffix == ".npz"
-        return Kind([whole], read_damaged, NASTY if binary else WORDS)
+        tokens = NASTY if path.suffix == ".npz" else WORDS
+        return Kind([whole], read_damaged, tokens, MENDED.get(path.suffix, bytes))
 
     def use_results() -> None:
         found = Results.load(made)
@@ -269,7 +308,7 @@ def sessions(folder: Path) -> dict[str, Kind]:
         "field": in_place(results / "field.npz", lambda: Results.load(made)),
         "journal": in_place(made / "journal.jsonl", lambda: verify(made)),
         "catalogue": in_place(kept, lambda: command("list", str(made.parent))),
-        "kept fit": Kind([fit], read_fit),
+        "kept-fit": Kind([fit], read_fit, mend=repacked),
     }
 
 
@@ -300,7 +339,7 @@ def pictures(folder: Path) -> dict[str, Kind]:
     return {
         "dng": Kind([dng], read_raw),
         "tiff": Kind([plain.getvalue(), packed.getvalue()], read),
-        "png": Kind([cv2.imencode(".png", numbers)[1].tobytes()], read),
+        "png": Kind([cv2.imencode(".png", numbers)[1].tobytes()], read, mend=mended_png),
         "jpeg": Kind([jpeg.getvalue()], read),
         "pgm": Kind([pgm(numbers)], read),
     }
@@ -355,6 +394,7 @@ def campaign(kind: Kind, seed: int, seconds: float, keep: Path) -> Counts:
     for turn in count():
         whole = kind.whole[turn % len(kind.whole)]
         for content in mutated(whole, 20, tokens=kind.tokens, seed=seed + turn):
+            content = kind.mend(content) if counts.ends.total() % 2 else content
             before = perf_counter()
             if before - began > seconds:
                 return counts
