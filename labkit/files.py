@@ -10,10 +10,12 @@ import secrets
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from labkit.errors import InputError, SessionError
+from labkit.reading import MOST_NOTE_BYTES, opened_photograph, read_private
 
 MOST_LINKS = 10
 """Number of names in one message."""
@@ -32,12 +34,6 @@ def open_standard_streams() -> None:
             os.open(os.devnull, os.O_RDWR)  # the lowest that is free
 
 
-def refuse_special(path: Path) -> None:
-    """Raise OSError for a pipe, a device or a socket, whose reading may never end, or begin."""
-    if path.exists() and not path.is_file() and not path.is_dir():
-        raise OSError(errno.EINVAL, "a pipe or a device; a file is needed", str(path))
-
-
 def write_atomically(path: Path, content: bytes) -> None:
     """Write `content` to `path`, replacing what is there; a crash leaves the old file or the new one.
 
@@ -47,17 +43,26 @@ def write_atomically(path: Path, content: bytes) -> None:
         file.write(content)
 
 
+def write_private(path: Path, content: bytes) -> None:
+    """Write a file that only this user may read, in a folder that is made if missing, as `write_atomically` does."""
+    with writing(path.parent):
+        path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+    with replacing(path, 0o600) as file:
+        file.write(content)
+
+
 @contextmanager
-def replacing(path: Path) -> Iterator[BinaryIO]:
+def replacing(path: Path, mode: int = 0o666) -> Iterator[BinaryIO]:
     """Open a file that takes the place of `path` when the block ends without an exception.
 
-    Raises InputError if the file cannot be written.
+    mode: who may read and write the file. Raises InputError if the file cannot be written.
     """
     beside = path.with_name(f".{path.name}.{os.getpid()}.part")
     with writing(path):
         beside.unlink(missing_ok=True)
         try:
-            with beside.open("x+b") as file:  # never through a link
+            # never through a link
+            with open(beside, "x+b", opener=partial(os.open, mode=mode)) as file:
                 yield file
                 file.flush()
                 os.fsync(file.fileno())
@@ -151,7 +156,8 @@ def copy_durably(source: Path, target: Path) -> str:
     """
     with writing(target):
         target.unlink(missing_ok=True)  # a link is not followed
-    with source.open("rb") as reader, writing(target), target.open("xb") as writer:
+    reader = opened_photograph(source)
+    with reader, writing(target), target.open("xb") as writer:
         shutil.copyfileobj(reader, writer, 1 << 20)
         writer.flush()
         os.fsync(writer.fileno())
@@ -160,7 +166,7 @@ def copy_durably(source: Path, target: Path) -> str:
 
 def sha256_of(path: Path) -> str:
     """Return the SHA-256 of a file's content, in hexadecimal."""
-    with path.open("rb") as file:
+    with opened_photograph(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
@@ -229,15 +235,10 @@ def kept_secret(file: Path) -> str:
     stored serves for this run only.
     """
     with suppress(OSError, UnicodeDecodeError):
-        kept = file.read_text(encoding="ascii").strip()
-        private = file.stat().st_mode & 0o077 == 0
-        if private and re.fullmatch(r"[A-Za-z0-9_-]{22,64}", kept):
+        kept = read_private(file, MOST_NOTE_BYTES).strip()
+        if re.fullmatch(r"[A-Za-z0-9_-]{22,64}", kept):
             return kept
     made = secrets.token_urlsafe(16)
-    with suppress(OSError):
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.unlink(missing_ok=True)
-        only_we = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-        with os.fdopen(only_we, "w") as opened:
-            opened.write(made)
+    with suppress(InputError):
+        write_private(file, made.encode())
     return made

@@ -12,6 +12,7 @@ from labkit.drivers.gphoto2.link import IO, TIMEOUT, Trouble
 from labkit.errors import CameraError, RawError
 from labkit.photographs.container import recognise
 from labkit.photographs.libraw import opened_raw
+from labkit.reading import opened_photograph
 
 SUFFIXES = (
     (b"ftypcrx", ".cr3"), (b"CR\x02", ".cr2"), (b"FUJIFILMCCD-RAW", ".raf"), (b"IIU\0", ".rw2"),
@@ -74,7 +75,7 @@ def _checked_suffix(raw: Path) -> str:
         raise Trouble(IO, f"what came is no whole raw file ({error})") from error
     if not (sizes.raw_width and sizes.raw_height):
         raise Trouble(IO, "what came holds no picture")
-    with raw.open("rb") as file:
+    with opened_photograph(raw) as file:
         head = file.read(32)
     for mark, suffix in SUFFIXES:
         if mark in head:

@@ -14,7 +14,10 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from labkit.drivers.simulated.optics import REFERENCE_NM, noll_to_nm
+from labkit.reading import read_text, reason
 from labkit.types import Floats
+
+MOST_TABLE_BYTES = 2**22
 
 LIKE_PLACE = 3
 """Modes from 4 on change the PSF: 1 is a constant, 2 and 3 move light, and places are those of chief rays."""
@@ -115,11 +118,11 @@ def read_table(path: str) -> ZernikeTable:
     Raises ValueError for a file that cannot be read, or is no such table.
     """
     try:
-        with Path(path).open(newline="", encoding="utf-8") as file:
-            heading, *lines = csv.reader(file)
+        text = read_text(Path(path), MOST_TABLE_BYTES, follow_link=True)
+        heading, *lines = csv.reader(text.splitlines())
         numbers = np.array(lines, dtype=np.float64)
     except (OSError, ValueError) as error:
-        raise ValueError(f"lens.table={path} cannot be read: {error}") from error
+        raise ValueError(f"lens.table={path} cannot be read: {reason(error)}") from error
     modes = [f"z{j}" for j in range(1, len(heading) - 1)]
     if heading != ["wavelength_nm", "field_deg", *modes] or len(modes) <= LIKE_PLACE:
         raise ValueError(

@@ -14,7 +14,8 @@ from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 from websockets.typing import Origin
 
-from labkit.files import state_folder, write_atomically
+from labkit.files import state_folder, write_private
+from labkit.reading import MOST_NOTE_BYTES, read_private
 
 PAGE_ANSWER_S = 2.0
 
@@ -23,9 +24,7 @@ def note(url: str, address: str) -> Path:
     """Record a served operator's page, for this user alone; return the file to remove at its end."""
     file = state_folder() / "pages" / f"{os.getpid()}-{urlsplit(url).port}.json"
     with contextlib.suppress(Exception):  # a page that is not listed is served all the same
-        file.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-        write_atomically(file, json.dumps({"url": url, "address": address}).encode())
-        file.chmod(0o600)
+        write_private(file, json.dumps({"url": url, "address": address}).encode())
     return file
 
 
@@ -40,7 +39,7 @@ def find_pages() -> list[tuple[str, str, str]]:
 
 def _pages(file: Path) -> Iterator[tuple[str, str, str]]:
     try:
-        noted = json.loads(file.read_text(encoding="utf-8"))
+        noted = json.loads(read_private(file, MOST_NOTE_BYTES))
         url = str(noted["url"])
         address = str(noted["address"])
         state = _state(url)

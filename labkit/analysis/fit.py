@@ -40,7 +40,7 @@ from labkit.estimation.session import estimate
 from labkit.estimation.split import Change, find_change
 from labkit.execute import Executed, Run, Workers, default_workers, map_in_order
 from labkit.field.session_geometry import session_geometry
-from labkit.files import is_full
+from labkit.files import is_full, sha256_of
 from labkit.findings import (
     Finding,
     each_once,
@@ -64,6 +64,7 @@ from labkit.session.completed_plan import with_body_filters, with_shown_size
 from labkit.session.fit_lock import fitted_alone
 from labkit.session.session import Session
 from labkit.session.stated import contradictions
+from labkit.session.stored_plan import PLAN_FILE
 from labkit.session.verify import altered as altered_files
 from labkit.session.verify import as_error, unused
 from labkit.target import Target, open_target
@@ -356,12 +357,9 @@ def _opened(
 
 def _checksum(session: Session, plan: Plan) -> str:
     """Return the SHA-256 of the session's plan.toml, or of the TOML of a plan given instead."""
-    text = (
-        (session.folder / "plan.toml").read_bytes()
-        if plan == session.plan
-        else plan.to_toml().encode()
-    )
-    return hashlib.sha256(text).hexdigest()
+    if plan == session.plan:
+        return sha256_of(session.folder / PLAN_FILE)
+    return hashlib.sha256(plan.to_toml().encode()).hexdigest()
 
 
 def _refuse_loss(folder: Path, keys: Collection[Key]) -> None:

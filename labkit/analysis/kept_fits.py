@@ -25,9 +25,12 @@ from labkit.execute import Result, Run, Task
 from labkit.files import drop_link, kept_secret, state_folder, write_atomically, writing
 from labkit.findings import Finding, found
 from labkit.numerics import versions
+from labkit.reading import read_bytes
 from labkit.sharing import packed
 
 FOLDER = ".fits"
+
+MOST_FIT_BYTES = 2**30
 
 SIGNATURE_BYTES = hashlib.sha256().digest_size
 
@@ -88,14 +91,16 @@ class KeptFits:
 
     def _read(self, place: Path, kind: Any) -> Any:
         """Read a stored result; None if there is none, or if its signature is wrong."""
-        if self._folder.is_symlink() or not place.is_file():
+        if self._folder.is_symlink():
             return None
         try:
-            signed = place.read_bytes()
+            signed = read_bytes(place, MOST_FIT_BYTES)
             signature = signed[:SIGNATURE_BYTES]
             content = signed[SIGNATURE_BYTES:]
             if hmac.compare_digest(signature, self._signature(place, content)):
                 return typed_file.load(content, kind)
+        except FileNotFoundError:
+            return None
         except (OSError, ValueError):
             pass
         self._refused += 1

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def list_sessions(folder: Path | str = ".", progress: Progress = no_progress) -> Catalogue:
     """List the sessions in a folder, each with its lens, camera and numbers.
 
-    The catalogue, `catalogue.sqlite` in that folder, is brought up to date first.
+    The catalogue, which is kept in the user's own state folder, is brought up to date first.
 
     Parameters
     ----------

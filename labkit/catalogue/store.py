@@ -1,56 +1,51 @@
-"""The catalogue's file: SQLite next to the sessions, which can always be rebuilt from their folders.
+"""The catalogue's file: a copy, in the user's own state folder, of what the sessions' folders hold.
 
 Reading updates the catalogue: results whose file differs in size or time from the catalogue's entry are read again. Fits do
-not write to the catalogue, so no fit waits for a lock.
+not write to the catalogue. The file lies with the user and not with the sessions, which travel: a catalogue that somebody
+else made is nothing to believe. A file that is odd in any way counts as none.
 """
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
-import sqlite3
-from collections.abc import Iterator
-from contextlib import closing, suppress
-from dataclasses import dataclass
-from math import nan
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, fields
+from math import isfinite
 from pathlib import Path
+from typing import Any
 
-from labkit.catalogue.entry import Entry, read_entry
+from labkit.catalogue.entry import Entry, Quantity, read_entry
 from labkit.errors import InputError
+from labkit.files import state_folder, write_private
+from labkit.reading import read_private
 from labkit.session.journal import JOURNAL
 from labkit.types import Progress, no_progress
 from labkit.uncertain import Uncertain
+from labkit.version import __version__
 
-CATALOGUE_FILE = "catalogue.sqlite"
-BUSY_S = 5.0
-"""Longest wait for another process that writes to the catalogue."""
+MOST_CATALOGUE_BYTES = 2**26
+"""Of the file: 15,000 sessions of three channels with 22 modes."""
 
 RESULTS_FILES = ("results", "results.json")
 
-MIGRATIONS = (
-    """
-    CREATE TABLE results (
-        folder TEXT, name TEXT, stamp TEXT, state TEXT, problem TEXT, lens TEXT,
-        serial TEXT, camera TEXT, taken TEXT, created TEXT, PRIMARY KEY (folder, name)
-    );
-    CREATE TABLE numbers (
-        folder TEXT, name TEXT, quantity TEXT, channel TEXT, value REAL, std REAL,
-        PRIMARY KEY (folder, name, quantity, channel),
-        FOREIGN KEY (folder, name) REFERENCES results ON DELETE CASCADE
-    );
-    """,
-)
-"""Scripts that lead from each version of the file, its `user_version`, to the next; all results are read again after one."""
+ENTRY_TEXTS = tuple(field.name for field in fields(Entry) if field.name != "numbers")
 
-WORD_COLUMNS = ("folder", "name", "state", "problem", "lens", "serial", "camera")
-TIMES = ("taken", "created")
+QUANTITY = re.compile(r"[a-z_]+|waves\.\d{1,4}")
 
 Place = tuple[str, str]
 """Folder of a session and name of its results."""
 
+Kept = dict[Place, tuple[str, Entry]]
+"""Entries of results, each with size and time of the results' file."""
+
 
 @dataclass(frozen=True, slots=True)
 class Catalogue:
-    """Entries in the order of their folders; warnings: faults of the catalogue's file, in words."""
+    """Entries in the order of their folders; warnings: why the catalogue is not kept, in words."""
 
     entries: tuple[Entry, ...]
     warnings: tuple[str, ...] = ()
@@ -70,121 +65,98 @@ def read_catalogue(
     Raises
     ------
     InputError
-        there is no such folder; with `rebuild`, the file cannot be written
+        there is no such folder; with `rebuild`, the catalogue cannot be written
     """
     if not folder.is_dir():
         raise InputError(f"{folder} is no folder: give the folder that the sessions are in")
-    file = folder / CATALOGUE_FILE
+    before = {} if rebuild else _read(folder)
+    now = _updated(before, folder, progress)
+    entries = tuple(entry for _, (_, entry) in sorted(now.items()))
+    # what could not be read is tried again each time: a later labkit may read it
+    kept = {place: known for place, known in now.items() if not known[1].problem}
     try:
-        return Catalogue(_entries_of(file, folder, rebuild, progress))
-    except sqlite3.OperationalError as error:
-        why = f"{file} cannot be written ({error})"
+        if rebuild or kept != before:
+            _write(folder, kept)
+    except InputError as error:
         if rebuild:
-            raise InputError(f"{why}; end what uses it, or allow writing") from None
-        instead = f"{why}: all sessions were read anew, and nothing is kept"
-    except sqlite3.DatabaseError as error:
-        instead = f"{file} was damaged ({error}): it is built anew"
-        for torn in (file, *(file.with_name(file.name + end) for end in ("-wal", "-shm"))):
-            with suppress(OSError):
-                torn.unlink()
-        with suppress(sqlite3.Error):
-            return Catalogue(_entries_of(file, folder, True, progress), (instead,))
-    return Catalogue(_entries_of(":memory:", folder, True, progress), (instead,))
+            raise
+        instead = f"{error}; all sessions were read anew, and nothing is kept"
+        return Catalogue(entries, (instead,))
+    return Catalogue(entries)
 
 
-def _entries_of(
-    file: Path | str, folder: Path, rebuild: bool, progress: Progress
-) -> tuple[Entry, ...]:
-    """Bring a catalogue up to date, and return its entries. Raises sqlite3.Error."""
-    with closing(sqlite3.connect(file, timeout=BUSY_S, isolation_level=None)) as database:
-        _migrate(database)
-        _refresh(database, folder, rebuild, progress)
-        return tuple(_entries(database))
+def catalogue_file(folder: Path) -> Path:
+    """Return where this user's catalogue of a folder of sessions is kept. Raises InputError for a user without a home."""
+    key = hashlib.sha256(os.fsencode(folder.resolve())).hexdigest()[:32]
+    try:
+        return state_folder() / "catalogue" / f"{key}.json"
+    except RuntimeError as error:
+        raise InputError(f"no place to keep the catalogue in: {error}") from error
 
 
-def _migrate(database: sqlite3.Connection) -> None:
-    """Bring the file to this version. Raises sqlite3.Error; OperationalError for a file of a later version."""
-    database.execute("PRAGMA foreign_keys = ON")
-    (version,) = database.execute("PRAGMA user_version").fetchone()
-    if version > len(MIGRATIONS):
-        raise sqlite3.OperationalError(
-            f"it is of version {version}, of a later labkit; this one knows {len(MIGRATIONS)}"
-        )
-    if version == len(MIGRATIONS):
-        return
-    database.execute("PRAGMA journal_mode = WAL")
-    with database:
-        database.execute("BEGIN IMMEDIATE")
-        # another process may have done it meanwhile
-        (version,) = database.execute("PRAGMA user_version").fetchone()
-        for script in MIGRATIONS[version:]:
-            for statement in script.split(";"):
-                database.execute(statement)
-            database.execute("DELETE FROM results")
-        database.execute(f"PRAGMA user_version = {len(MIGRATIONS)}")
+def _read(folder: Path) -> Kept:
+    """Return the entries of a catalogue; none of a file that is missing or odd."""
+    try:
+        held = json.loads(read_private(catalogue_file(folder), MOST_CATALOGUE_BYTES))
+        if held["labkit"] != __version__:
+            return {}
+        return {
+            (entry.folder, entry.name): (str(stamp), entry)
+            for stamp, entry in ((stamp, _entry(one)) for stamp, one in held["entries"])
+        }
+    except (InputError, OSError, ValueError, TypeError, LookupError, RecursionError):
+        return {}
 
 
-def _refresh(
-    database: sqlite3.Connection, folder: Path, rebuild: bool, progress: Progress
-) -> None:
-    """Read what changed in the folders since, in one transaction."""
+def _write(folder: Path, kept: Kept) -> None:
+    """Keep the entries of a catalogue. Raises InputError."""
+    entries = [[stamp, _as_json(entry)] for stamp, entry in kept.values()]
+    held = {"labkit": __version__, "folder": str(folder.resolve()), "entries": entries}
+    write_private(catalogue_file(folder), json.dumps(held).encode())
+
+
+def _as_json(entry: Entry) -> dict[str, Any]:
+    numbers = [
+        [*quantity, float(number.value), float(number.std)]
+        for quantity, number in entry.numbers.items()
+    ]
+    return {**{word: getattr(entry, word) for word in ENTRY_TEXTS}, "numbers": numbers}
+
+
+def _entry(held: Mapping[str, Any]) -> Entry:
+    """Return the entry that JSON stands for. Raises LookupError, TypeError, ValueError."""
+    words = {word: held[word] for word in ENTRY_TEXTS}
+    numbers = dict[Quantity, Uncertain]()
+    for name, channel, value, std in held["numbers"]:
+        if not QUANTITY.fullmatch(name) or not isfinite(value):
+            raise ValueError(f"{name!r} is no quantity, or {value!r} no number")
+        numbers[name, channel] = Uncertain(float(value), float(std), _unit(name))
+    texts = [*words.values(), *(channel for _, channel in numbers)]
+    if not all(isinstance(text, str) for text in texts):
+        raise TypeError("a text is missing")
+    return Entry(**words, numbers=numbers)
+
+
+def _unit(quantity: str) -> str:
+    if quantity.startswith("waves."):
+        return "waves"
+    unit = quantity.rpartition("_")[2]
+    return unit if unit in ("mm", "nm") else ""
+
+
+def _updated(before: Kept, folder: Path, progress: Progress) -> Kept:
+    """Return the entries of all results in a folder: those known, if their files did not change since."""
     there = dict(_stamps(folder))
-    known = {
-        (place, name): stamp
-        for place, name, stamp in database.execute(
-            "SELECT folder, name, stamp FROM results"
-        )
+    now = {
+        place: before[place]
+        for place, stamp in there.items()
+        if place in before and before[place][0] == stamp
     }
-    gone = [place for place in known if rebuild or known[place] != there.get(place)]
-    new = [place for place in there if rebuild or known.get(place) != there[place]]
-    if not (gone or new):
-        return
-    rows = []
+    new = [place for place in there if place not in now]
     for done, place in enumerate(new):
         progress(done, len(new), place[0])
-        rows.append((read_entry(folder / place[0], place[1]), there[place]))
-    with database:
-        database.execute("BEGIN IMMEDIATE")
-        database.executemany("DELETE FROM results WHERE folder = ? AND name = ?", gone)
-        for entry, stamp in rows:
-            _insert(database, entry, stamp)
-
-
-def _insert(database: sqlite3.Connection, entry: Entry, stamp: str) -> None:
-    """Write an entry, in place of an earlier one: another process may have read the same session meanwhile."""
-    columns = (*WORD_COLUMNS, *TIMES)
-    database.execute(
-        f"INSERT OR REPLACE INTO results (stamp, {', '.join(columns)}) "
-        f"VALUES (?{', ?' * len(columns)})",
-        (stamp, *(getattr(entry, column) for column in columns)),
-    )
-    database.executemany(
-        "INSERT OR REPLACE INTO numbers VALUES (?, ?, ?, ?, ?, ?)",
-        (
-            (entry.folder, entry.name, *quantity, number.value, number.std)
-            for quantity, number in entry.numbers.items()
-        ),
-    )
-
-
-def _entries(database: sqlite3.Connection) -> Iterator[Entry]:
-    """Yield all entries in the order of their folders."""
-    numbers = dict[Place, dict[tuple[str, str], Uncertain]]()
-    for place, name, quantity, channel, value, std in database.execute(
-        "SELECT folder, name, quantity, channel, value, std FROM numbers ORDER BY rowid"
-    ):
-        unit = (
-            "mm" if quantity.endswith("_mm") else "nm" if quantity.endswith("_nm") else ""
-        )
-        unit = "waves" if quantity.startswith("waves.") else unit
-        number = Uncertain(value, nan if std is None else std, unit)
-        numbers.setdefault((place, name), {})[quantity, channel] = number
-    columns = (*WORD_COLUMNS, *TIMES)
-    for row in database.execute(
-        f"SELECT {', '.join(columns)} FROM results ORDER BY folder, name"
-    ):
-        held = dict(zip(columns, row, strict=True))
-        yield Entry(**held, numbers=numbers.get((held["folder"], held["name"]), {}))
+        now[place] = there[place], read_entry(folder / place[0], place[1])
+    return now
 
 
 def _stamps(folder: Path) -> Iterator[tuple[Place, str]]:

@@ -15,6 +15,7 @@ from typer.core import TyperGroup
 
 from labkit.cli.console import Console
 from labkit.errors import DataError, InputError, PlanError
+from labkit.reading import MOST_NOTE_BYTES, read_text
 from labkit.session.journal import journal_in
 from labkit.version import __version__
 
@@ -135,7 +136,7 @@ def channels(ctx: typer.Context, incomplete: str) -> list[str]:
         iter(ctx.args), ""
     )  # a line that is not complete has it left over
     try:
-        plan = tomllib.loads((Path(session) / "plan.toml").read_text(encoding="utf-8"))
+        plan = tomllib.loads(read_text(Path(session) / "plan.toml", MOST_NOTE_BYTES))
         names = [str(channel["name"]) for channel in plan["channel"]]
     except (KeyError, TypeError, OSError, ValueError):
         names = ["R", "G", "B"]

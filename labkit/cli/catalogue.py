@@ -32,7 +32,7 @@ HISTORY_MODES = (5, 6, 7, 8, 11)
 
 @app.command("list")
 def list_(ctx: typer.Context, folder: Sessions = Path()) -> None:
-    """List the sessions in a folder. Lens, camera, best focus; brings catalogue.sqlite in it up to date."""
+    """List the sessions in a folder. Lens, camera, best focus; sessions that changed are read anew."""
     from labkit.catalogue.sessions import list_sessions
 
     console: Console = ctx.obj
@@ -212,5 +212,5 @@ def rebuild(ctx: typer.Context, folder: Sessions = Path()) -> None:
     _warn(console, catalogue)
     left_out = sum(bool(entry.problem) for entry in catalogue.entries)
     read = len(catalogue.entries) - left_out
-    console.say(f"{folder / 'catalogue.sqlite'}: {read} results, {left_out} left out")
+    console.say(f"{folder}: {read} results, {left_out} left out")
     console.answer({"schema": 1, "results": read, "left_out": left_out})

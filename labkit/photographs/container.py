@@ -11,9 +11,9 @@ import tifffile
 
 from labkit.apart import run_apart
 from labkit.errors import InputError, RawError, shown
-from labkit.files import refuse_special
 from labkit.photographs.exif import read_exif
 from labkit.photographs.picture_file import JPEG, check_strips, format_of
+from labkit.reading import opened_photograph
 
 OTHER_RAW = re.compile(
     rb"IIRO|IIRS|MMOR|IIU\0"  # Olympus, Panasonic
@@ -56,8 +56,7 @@ def recognise(path: Path) -> Container:
 
 def _recognise(path: Path) -> Container:
     try:
-        refuse_special(path)
-        with path.open("rb") as file:
+        with opened_photograph(path) as file:
             head = file.read(32)
     except OSError as error:
         raise RawError(str(error.strerror)) from error
@@ -85,9 +84,9 @@ def _recognise(path: Path) -> Container:
 def _recognise_tiff(path: Path) -> Container:
     """Recognise a raw file in TIFF's form, or a plain TIFF."""
     try:
-        with tifffile.TiffFile(path) as tiff:
+        with opened_photograph(path) as file, tifffile.TiffFile(file) as tiff:
             first = tiff.pages.first
-            check_strips(tiff, path.stat().st_size)
+            check_strips(tiff)
             plain = (
                 DNG_VERSION not in first.tags and first.photometric in PLAIN_PHOTOMETRICS
             )

@@ -23,6 +23,7 @@ from labkit.photographs.processed_picture import (
 )
 from labkit.plan import Sensor
 from labkit.plan.sensor import pattern_of
+from labkit.reading import MOST_PHOTOGRAPH_BYTES, read_bytes
 
 
 def read_photograph(path: Path, sensor: Sensor, cut: Cut = WHOLE) -> Photograph:
@@ -65,14 +66,16 @@ def _read(path: Path, sensor: Sensor, cut: Cut) -> Photograph:
 
 def _headerless(path: Path, shape: tuple[int, int]) -> Numbers:
     """Read bare 16-bit numbers, the lower byte first, row by row."""
-    size = path.stat().st_size if path.is_file() else None
     rows, cols = shape
-    if size != 2 * rows * cols:
-        have = "there is no such file" if size is None else f"it has {size}"
+    try:
+        content = read_bytes(path, MOST_PHOTOGRAPH_BYTES, follow_link=True)
+    except OSError as error:
+        raise RawError(str(error.strerror)) from error
+    if len(content) != 2 * rows * cols:
         raise RawError(
-            f"{rows} × {cols} numbers of 16 bit (sensor.headerless_px) are {2 * rows * cols} bytes: {have}"
+            f"{rows} × {cols} numbers of 16 bit (sensor.headerless_px) are {2 * rows * cols} bytes: it has {len(content)}"
         )
-    return np.fromfile(path, dtype="<u2").reshape(shape)
+    return np.frombuffer(content, dtype="<u2").reshape(shape)
 
 
 def _bare(counts: Numbers, container: Container, sensor: Sensor) -> Photograph:

@@ -7,12 +7,14 @@ import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import tifffile
 
 from labkit.errors import InputError
 from labkit.photographs.picture_file import JPEG, PNG, format_of, png_chunks, read_header
+from labkit.reading import opened_photograph
 from labkit.types import Floats
 
 MOST_PROFILE_BYTES = 2**24
@@ -42,21 +44,26 @@ class Encoding:
 
 def read_encoding(path: Path) -> Encoding:
     """Read the statements of a JPEG, PNG or TIFF file. Raises InputError for a damaged file, OSError."""
-    with path.open("rb") as file:
+    with opened_photograph(path) as file:
         head = file.read(len(PNG))
-    if head.startswith(JPEG):
-        return Encoding(icc=read_header(path.read_bytes()).icc)
-    match format_of(head):
-        case "png":
-            return _of_png({name: data for name, data, _ in png_chunks(path.read_bytes())})
-        case "tiff":
-            try:
-                with tifffile.TiffFile(path) as tiff:
-                    tag = tiff.pages.first.tags.get(ICC_TAG)
-                    return Encoding(icc=bytes(tag.value) if tag else b"")
-            except Exception as error:  # of whatever a damaged tag breaks
-                raise InputError("holds an ICC profile that cannot be read") from error
+        file.seek(0)
+        if head.startswith(JPEG):
+            return Encoding(icc=read_header(file.read()).icc)
+        match format_of(head):
+            case "png":
+                return _of_png({name: data for name, data, _ in png_chunks(file.read())})
+            case "tiff":
+                return _of_tiff(file)
     return Encoding()
+
+
+def _of_tiff(file: BinaryIO) -> Encoding:
+    try:
+        with tifffile.TiffFile(file) as tiff:
+            tag = tiff.pages.first.tags.get(ICC_TAG)
+            return Encoding(icc=bytes(tag.value) if tag else b"")
+    except Exception as error:  # of whatever a damaged tag breaks
+        raise InputError("holds an ICC profile that cannot be read") from error
 
 
 def srgb(stored: Floats) -> Floats:

@@ -16,6 +16,7 @@ from PIL.ExifTags import IFD, Base
 from labkit.apart import run_apart
 from labkit.errors import InputError
 from labkit.photographs.picture_file import JPEG, PNG, TIFF, png_chunks, read_header
+from labkit.reading import opened_photograph
 
 UNIT_UM = {2: 25_400.0, 3: 10_000.0, 4: 1000.0, 5: 1.0}
 """Of FocalPlaneResolutionUnit."""
@@ -58,7 +59,7 @@ def read_exif(path: Path) -> Exif:
 
 
 def _read_exif(path: Path) -> Exif:
-    with path.open("rb") as file:
+    with opened_photograph(path) as file:
         head = file.read(len(PNG))
         file.seek(0)
         try:

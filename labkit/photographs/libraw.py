@@ -15,6 +15,7 @@ from labkit.errors import RawError
 from labkit.photographs.container import Container
 from labkit.photographs.photograph import Photograph
 from labkit.plan.sensor import MONO
+from labkit.reading import opened_photograph
 
 DAMAGE = ("data corrupted", "Unexpected end of file")
 """LibRaw's messages about damaged files that are decoded nevertheless."""
@@ -23,7 +24,7 @@ DAMAGE = ("data corrupted", "Unexpected end of file")
 @contextmanager
 def opened_raw(path: Path) -> Iterator[rawpy.RawPy]:
     """Open a raw file. Raises rawpy.LibRawError, OSError."""
-    with path.open("rb") as file, rawpy.imread(file) as raw:
+    with opened_photograph(path) as file, rawpy.imread(file) as raw:
         yield raw
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from io import BytesIO
 from math import prod
 from pathlib import Path
-from typing import Literal
+from typing import BinaryIO, Literal
 
 import numpy as np
 import tifffile
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from labkit.apart import DAMAGED, run_apart
 from labkit.errors import InputError, shown
+from labkit.reading import opened_photograph
 
 JPEG = b"\xff\xd8"
 EXIF_MARK = b"Exif\0\0"
@@ -185,17 +186,18 @@ def read_picture(
 
 
 def _read_picture(path: Path, most_pixels: int, *, processed: bool) -> Picture:
-    with path.open("rb") as file:
+    with opened_photograph(path) as file:
         head = file.read(len(PNG))
+        file.seek(0)
+        if format_of(head) == "tiff":
+            return _read_tiff(file, most_pixels, processed)
+        content = file.read()
     match format_of(head):
         case "png":
-            return _read_png(path.read_bytes(), most_pixels, processed)
+            return _read_png(content, most_pixels, processed)
         case "pgm":
-            return _read_pgm(path.read_bytes(), most_pixels)
-        case "tiff":
-            return _read_tiff(path, most_pixels, processed)
+            return _read_pgm(content, most_pixels)
     if processed and head.startswith(JPEG):
-        content = path.read_bytes()
         header = read_header(content)
         _check_size(header.shape, most_pixels)
         numbers = _decoded("JPEG", content, header.shape, 8)
@@ -203,8 +205,9 @@ def _read_picture(path: Path, most_pixels: int, *, processed: bool) -> Picture:
     raise InputError("is no PNG, PGM or TIFF" if head else "is empty")
 
 
-def check_strips(tiff: tifffile.TiffFile, size: int) -> None:
-    """Raise InputError if a page's data would lie beyond the end of the file, `size` bytes."""
+def check_strips(tiff: tifffile.TiffFile) -> None:
+    """Raise InputError if a page's data would lie beyond the end of the file."""
+    size = tiff.filehandle.size
     pages = [page for page in tiff.pages if isinstance(page, tifffile.TiffPage)]
     for page in pages:
         pages += [sub for sub in page.pages or () if isinstance(sub, tifffile.TiffPage)]
@@ -333,16 +336,17 @@ def _plain_numbers(text: bytes, needed: int) -> NDArray[np.float64]:
     return numbers[:needed]
 
 
-def _read_tiff(path: Path, most_pixels: int, processed: bool) -> Picture:
+def _read_tiff(file: BinaryIO, most_pixels: int, processed: bool) -> Picture:
     try:
-        with tifffile.TiffFile(path) as tiff:
+        with tifffile.TiffFile(file) as tiff:
             page = tiff.pages.first
             _check_tiff(tiff, page, most_pixels, processed)
             bits = int(page.bitspersample)
             if page.compression != UNCOMPRESSED:
-                numbers = _decoded("TIFF", path.read_bytes(), page.shape, bits)
+                file.seek(0)
+                numbers = _decoded("TIFF", file.read(), page.shape, bits)
                 return Picture(numbers, bits, 2**bits - 1)
-            check_strips(tiff, path.stat().st_size)
+            check_strips(tiff)
             if sum(page.databytecounts) < page.nbytes:
                 raise InputError(
                     f"{DAMAGED}: {sum(page.databytecounts)} of {page.nbytes} bytes are there"

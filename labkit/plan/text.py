@@ -14,8 +14,8 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
+from labkit import reading
 from labkit.errors import LONGEST_VALUE, PlanError, shown
-from labkit.files import refuse_special
 from labkit.plan.fields import what_it_takes
 
 DEEPEST_TABLE = 6
@@ -30,6 +30,9 @@ LONG_KEY = re.compile(rf"(?<![\w-])(?:{KEY}\s*+\.\s*+){{64}}")
 MOST_CHARACTERS = 2**18
 """Longest plan that is read: plans in use have some thousand characters."""
 
+MOST_BYTES = 4 * MOST_CHARACTERS
+"""Of a plan's file: a character takes up to four bytes."""
+
 Step = int | str
 
 FOLLOWS = "default_factory_not_called"
@@ -42,9 +45,7 @@ MOST_PROBLEMS = 20
 def read_text(path: Path) -> str:
     """Return a plan's text without a byte order mark. Raises PlanError for a missing file or one not in UTF-8."""
     try:
-        refuse_special(path)
-        with path.open(encoding="utf-8-sig") as file:
-            return file.read(MOST_CHARACTERS + 1)  # what is longer is refused
+        return reading.read_text(path, MOST_BYTES, follow_link=True)
     except IsADirectoryError as error:
         plan = path / "plan.toml"
         raise PlanError(

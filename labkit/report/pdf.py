@@ -13,6 +13,7 @@ from tempfile import TemporaryDirectory
 
 from labkit.errors import LabkitError, shown
 from labkit.files import write_atomically
+from labkit.reading import read_bytes
 
 BROWSERS = (
     "chromium",
@@ -24,6 +25,8 @@ BROWSERS = (
     "/Applications/Chromium.app/Contents/MacOS/Chromium",
     "/Applications/Microsoft Edge.app/Contents/MacOS/Microsoft Edge",
 )
+MOST_PDF_BYTES = 2**28
+
 LEAST_VERSION = 131
 """Oldest version that prints a style sheet's running head and page number in the page's margins."""
 
@@ -56,7 +59,7 @@ def write_pdf(report: Path, timeout_s: float = PRINT_S) -> Path:
             prefix="labkit-pdf-", ignore_cleanup_errors=True
         ) as profile:
             said = _run(_command(browser, report, printed, profile), timeout_s)
-        content = printed.read_bytes() if printed.exists() else b""
+        content = read_bytes(printed, MOST_PDF_BYTES) if printed.exists() else b""
     finally:
         printed.unlink(missing_ok=True)
     if not (content.startswith(b"%PDF-") and content.rstrip().endswith(b"%%EOF")):

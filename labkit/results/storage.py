@@ -26,6 +26,7 @@ from labkit.files import (
 from labkit.key import Key
 from labkit.optics.field import FieldModel
 from labkit.plan import Plan
+from labkit.reading import read_bytes, read_text, reason
 from labkit.results.arrays import RESIDUAL_PARTS, Mapped, Named, psfs
 from labkit.results.arrays import residuals as kept_residuals
 from labkit.results.model import Residuals, Wavefront
@@ -41,6 +42,9 @@ FIELD_FILE = "field.npz"
 COVARIANCE = "covariance"  # of the field's coefficients
 MOST_NUMBER_BYTES = 8  # of a number
 MOST_RESULT_PIXELS = 2**28  # of any photograph
+MOST_RESULTS_BYTES = 2**27  # of results.json, 15 kB a fit
+MOST_RESIDUALS_BYTES = 2**29  # earlier labkits kept all
+MOST_FIELD_BYTES = 2**26
 REPORT_FILES = (
     "report.html",
     "figures",
@@ -89,12 +93,13 @@ def read(folder: Path, name: str, *, residuals: bool = True) -> dict[str, Any]:
     path = place / RESULTS_FILE
     refuse_links(session, place, path, place / RESIDUALS, place / FIELD_FILE)
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path, MOST_RESULTS_BYTES)
         schema = _schema(text)
     except (FileNotFoundError, NotADirectoryError):
         raise DataError(f"no {path}: run labkit fit first{_others(session)}") from None
     except (OSError, ValueError, RecursionError) as error:
-        raise DataError(f"cannot read {path}: {error}; fit the session again") from None
+        why = reason(error)
+        raise DataError(f"cannot read {path}: {why}; fit the session again") from None
     _refuse_newer(path, schema)
     if schema not in READABLE:
         known = f"{READABLE[0]} to {READABLE[-1]}"
@@ -137,7 +142,7 @@ def kept_content(folder: Path) -> Content | None:
     Raises NewerError for results of a later schema, ValueError for a corrupt file, OSError.
     """
     try:
-        text = (folder / RESULTS_FILE).read_text(encoding="utf-8")
+        text = read_text(folder / RESULTS_FILE, MOST_RESULTS_BYTES)
         schema = _schema(text)
     except (FileNotFoundError, NotADirectoryError):
         return None
@@ -154,7 +159,7 @@ def accept_failed_fits(folder: Path) -> None:
 
     Raises InputError where the folder cannot be written to.
     """
-    content = json.loads((folder / RESULTS_FILE).read_text(encoding="utf-8"))
+    content = json.loads(read_text(folder / RESULTS_FILE, MOST_RESULTS_BYTES))
     content["made_from"]["failed_accepted"] = True
     content["unanswered"] = None
     text = json.dumps(content, indent=1, allow_nan=False) + "\n"
@@ -211,15 +216,17 @@ def _with_residuals(wavefronts: Sequence[Wavefront], path: Path) -> Iterator[Wav
         for part in RESIDUAL_PARTS
     }
     try:
-        content = path.read_bytes() if path.exists() else None
-        arrays = {} if content is None else npz.unpacked(content, most_bytes.get)
+        arrays = npz.unpacked(read_bytes(path, MOST_RESIDUALS_BYTES), most_bytes.get)
         for w in wavefronts:
             names = [f"{part}_{w.key}" for part in RESIDUAL_PARTS]
             if all(name in arrays for name in names):
                 w = replace(w, residuals=Residuals(*(arrays[name] for name in names)))
             yield w
+    except FileNotFoundError:
+        yield from wavefronts
     except (OSError, ValueError) as error:
-        raise DataError(f"cannot read {path}: {error}; fit the session again") from None
+        why = reason(error)
+        raise DataError(f"cannot read {path}: {why}; fit the session again") from None
 
 
 def _field(content: Content, plan: Plan, path: Path) -> FieldModel | None:
@@ -228,14 +235,17 @@ def _field(content: Content, plan: Plan, path: Path) -> FieldModel | None:
         return None
     most_bytes = MOST_NUMBER_BYTES * len(entry.terms) ** 2
     try:
-        arrays = npz.unpacked(path.read_bytes(), {COVARIANCE: most_bytes}.get)
+        arrays = npz.unpacked(
+            read_bytes(path, MOST_FIELD_BYTES), {COVARIANCE: most_bytes}.get
+        )
         return entry.model(
             np.array(arrays[COVARIANCE], float),
             plan.sensor.pixel_pitch_um,
             plan.reference_wavelength_nm,
         )
     except (OSError, ValueError, KeyError) as error:
-        raise DataError(f"cannot read {path}: {error}; fit the session again") from None
+        why = reason(error)
+        raise DataError(f"cannot read {path}: {why}; fit the session again") from None
 
 
 def _pixels(w: Wavefront) -> int:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import fcntl
+import io
 import json
+import operator
 import os
 import socket
 from collections.abc import Iterator
@@ -13,6 +15,7 @@ from pathlib import Path
 
 from labkit.errors import SessionError
 from labkit.files import writing
+from labkit.reading import MOST_NOTE_BYTES, opened_to_append, read_text
 
 
 @contextmanager
@@ -29,6 +32,7 @@ def fitted_alone(results: Path) -> Iterator[None]:
     path = results.with_name(f".{results.name}.fitting")
     with writing(results):
         results.parent.mkdir(parents=True, exist_ok=True)
+    with writing(path):
         file = _locked(path)
     if file is None:
         raise SessionError(
@@ -36,31 +40,31 @@ def fitted_alone(results: Path) -> Iterator[None]:
         )
     try:
         with suppress(OSError):  # a full disk: the lock holds without a name in it
-            os.ftruncate(file, 0)
-            os.write(file, json.dumps(_ourselves()).encode())
+            file.truncate(0)
+            file.write(json.dumps(_ourselves()).encode())
         yield
     finally:
         with suppress(OSError):
             path.unlink(missing_ok=True)
             results.parent.rmdir()  # where nothing was written
-        os.close(file)
+        file.close()
 
 
-def _locked(path: Path) -> int | None:
+def _locked(path: Path) -> io.FileIO | None:
     """Return a file locked by this process; None if another process has the lock."""
     while True:
-        file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
+        file = opened_to_append(path)
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            os.close(file)
+            file.close()
             return None
         except OSError:  # a file system without locks
             return file
         with suppress(FileNotFoundError):
-            if os.path.samestat(os.fstat(file), os.stat(path)):
+            if os.path.samestat(os.fstat(file.fileno()), os.stat(path)):
                 return file
-        os.close(file)  # the fit before has ended meanwhile, and removed it
+        file.close()  # the fit before has ended meanwhile, and removed it
 
 
 def _ourselves() -> dict[str, object]:
@@ -75,11 +79,17 @@ def _ourselves() -> dict[str, object]:
 def _holder(path: Path) -> str:
     """Say which process has locked a file, and since when."""
     try:
-        told = json.loads(path.read_text(encoding="utf-8"))
-        process = told["process"]
-        machine = told["machine"]
-        since = told["since"]
-    except (OSError, ValueError, KeyError, TypeError):  # it has begun this moment
+        told = json.loads(read_text(path, MOST_NOTE_BYTES))
+        process = operator.index(told["process"])
+        machine = str(told["machine"])
+        since = str(told["since"])
+    except (
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+        RecursionError,
+    ):  # it has begun this moment
         return "another process"
     where = "" if machine == socket.gethostname() else f" on {machine}"
     return f"process {process}{where} since {since}"

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 
 from labkit.errors import DataError, InputError, RawError, TargetError, shown
-from labkit.files import refuse_special
 from labkit.finder.cut import cut_around
 from labkit.finder.lattice import find_targets
 from labkit.findings import Finding
@@ -28,6 +27,7 @@ from labkit.photographs.photograph import WHOLE, Cut, Photograph
 from labkit.plan import Plan
 from labkit.plan.sensor import MONO
 from labkit.plan.text import MOST_PROBLEMS, plain_number
+from labkit.reading import read_text
 from labkit.session.making import made_beside, refuse_existing
 from labkit.session.session import Session
 from labkit.session.stated import contradictions
@@ -37,6 +37,9 @@ from labkit.types import FRAME_KINDS, FrameKind, Progress, no_progress
 
 COLUMNS = ("file", "kind", "range_mm")
 
+
+MOST_CSV_BYTES = 2**24
+"""Of a list: 100,000 photographs."""
 
 LONGEST_PATH = 1000
 
@@ -178,8 +181,7 @@ def _read_cells(csv_path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]
     Cells are separated by commas, or else by semicolons.
     """
     try:
-        refuse_special(csv_path)
-        text = csv_path.read_text(encoding="utf-8-sig")
+        text = read_text(csv_path, MOST_CSV_BYTES, follow_link=True)
     except OSError as error:
         raise DataError(f"{csv_path}: {error.strerror}") from error
     except UnicodeDecodeError as error:

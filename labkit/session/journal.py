@@ -25,6 +25,7 @@ from labkit.files import (
     write_atomically,
     writing,
 )
+from labkit.reading import opened, opened_to_append, read_bytes
 
 Event = dict[str, Any]
 
@@ -32,6 +33,9 @@ JOURNAL = "journal.jsonl"
 
 RESERVED_FIELDS = ("event", "time", "after", "check")
 """Fields of every line, which no event may use for something else."""
+
+MOST_JOURNAL_BYTES = 2**26
+"""Of a journal: a photograph takes a thousand bytes, and more with many columns in its list."""
 
 RESUME_ADVICE = "then go on with --resume"
 
@@ -109,7 +113,7 @@ def read_journal(path: Path) -> Journal:
     or lines are missing, doubled or out of order.
     """
     try:
-        content = path.read_bytes()
+        content = read_bytes(path, MOST_JOURNAL_BYTES)
     except OSError as error:
         raise SessionError(f"{path}: {error.strerror}") from error
     return _parse(content, path)
@@ -146,7 +150,7 @@ def _parse(content: bytes, path: Path) -> Journal:
 def is_being_written(path: Path) -> bool:
     """Return whether some process has the journal open to append."""
     try:
-        with path.open("rb") as file:
+        with opened(path, MOST_JOURNAL_BYTES) as file:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
         return True
@@ -167,7 +171,7 @@ class JournalWriter:
         open_standard_streams()
         self.path = path  # a session is made elsewhere and then renamed
         with writing(path):
-            self._file = path.open("a+b", buffering=0)
+            self._file = opened_to_append(path)
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             self.journal = read_journal(path)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import sqlite3
+import subprocess
+import sys
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -18,7 +20,7 @@ from labkit.catalogue.compare import Difference
 from labkit.catalogue.history import history_of
 from labkit.catalogue.pictures import history_picture
 from labkit.catalogue.sessions import compare_sessions, lens_history, list_sessions
-from labkit.catalogue.store import CATALOGUE_FILE, read_catalogue
+from labkit.catalogue.store import catalogue_file
 from labkit.cli import run
 from labkit.cli.catalogue import _difference_row
 from labkit.errors import DataError, InputError
@@ -132,84 +134,173 @@ def test_results_that_cannot_be_read_are_named_and_left_out(
     assert "night" not in printed.out.replace(str(folder), "")
 
 
-@pytest.mark.parametrize("damage", [b"no database at all, but long enough" * 40, b""])
-def test_a_damaged_catalogue_is_built_anew(folder: Path, damage: bytes) -> None:
-    before = list_sessions(folder).entries
-    (folder / CATALOGUE_FILE).write_bytes(damage)
-    found = list_sessions(folder)
-    assert found.entries == before
-    assert [words.split(" (")[0] for words in found.warnings] == [
-        f"{folder / CATALOGUE_FILE} was damaged"
-    ][: len(damage)]
-    assert list_sessions(folder).warnings == ()
+def whole(file: Path) -> Any:
+    return json.loads(file.read_text())
 
 
-def test_a_catalogue_with_a_torn_page_is_built_anew(folder: Path) -> None:
-    before = list_sessions(folder).entries
-    file = folder / CATALOGUE_FILE
-    whole = file.read_bytes()
-    file.write_bytes(whole[: len(whole) // 2 // 4096 * 4096])
-    assert list_sessions(folder).entries == before
-    assert list_sessions(folder).warnings == ()
+ODD: dict[str, Callable[[Path], object]] = {
+    "no JSON": lambda file: file.write_bytes(b"no JSON at all" * 40),
+    "empty": lambda file: file.write_bytes(b""),
+    "torn": lambda file: file.write_bytes(file.read_bytes()[:500]),
+    "deep": lambda file: file.write_bytes(b"[" * 100_000),
+    "a database": lambda file: file.write_bytes(b"SQLite format 3\0" * 300),
+    "of another version": lambda file: changed(file, lambda held: held.update(labkit="0")),
+    "a text as a number": lambda file: changed(file, with_number("2987")),
+    "no number": lambda file: changed(file, with_number(None)),
+    "infinite": lambda file: changed(file, with_number(float("inf"))),
+    "a number as a text": lambda file: changed(file, with_lens(7)),
+    "a list as a text": lambda file: changed(file, with_lens(["Apo"])),
+    "another number": lambda file: changed(file, with_quantity("waves.x")),
+    "less": lambda file: changed(file, lambda held: held["entries"][0][1].pop("state")),
+    "a link": lambda file: file.symlink_to(file.rename(file.with_name("other"))),
+    "read by others": lambda file: file.chmod(0o644),
+    "endless": lambda file: os.truncate(file, 2**36),
+    "a pipe": lambda file: os.mkfifo(
+        file.rename(file.with_name("other")).with_name(file.name)
+    ),
+}
+"""What may have happened to the catalogue's file."""
 
 
-def test_a_deleted_catalogue_is_built_anew(folder: Path) -> None:
+def changed(file: Path, change: Callable[[Any], object]) -> None:
+    held = whole(file)
+    change(held)
+    file.write_text(json.dumps(held))
+
+
+def with_number(value: object) -> Callable[[Any], object]:
+    return lambda held: held["entries"][0][1]["numbers"][0].__setitem__(2, value)
+
+
+def with_quantity(name: str) -> Callable[[Any], object]:
+    return lambda held: held["entries"][0][1]["numbers"][0].__setitem__(0, name)
+
+
+def with_lens(value: object) -> Callable[[Any], object]:
+    return lambda held: held["entries"][0][1].update(lens=value)
+
+
+@pytest.mark.timeout(30)
+@pytest.mark.parametrize("name", ODD)
+def test_a_catalogue_that_is_odd_is_built_anew(folder: Path, name: str) -> None:
     before = list_sessions(folder)
-    (folder / CATALOGUE_FILE).unlink()
+    file = catalogue_file(folder)
+    ODD[name](file)
     assert list_sessions(folder) == before
+    assert len(whole(file)["entries"]) == 2
+    assert not file.is_symlink()
 
 
-def test_a_locked_catalogue_is_waited_for_and_then_done_without(
+def test_a_catalogue_is_this_users_alone_and_lies_with_the_user(folder: Path) -> None:
+    list_sessions(folder)
+    file = catalogue_file(folder)
+    assert file.is_relative_to(os.environ["XDG_STATE_HOME"])
+    assert file.stat().st_mode & 0o077 == 0
+    assert sorted(path.name for path in folder.iterdir()) == [
+        "any.dng",
+        "night-1",
+        "night-2",
+    ]
+    (folder.parent / "link").symlink_to(folder)
+    assert catalogue_file(folder.parent / "link") == file
+
+
+ENDLESS = """
+    CREATE VIEW results AS WITH RECURSIVE n(k) AS (SELECT 1 UNION ALL SELECT k + 1 FROM n)
+    SELECT k AS folder, k AS name, k AS stamp, k AS state, k AS problem, k AS lens, k AS serial,
+    k AS camera, k AS taken, k AS created FROM n
+"""
+
+
+@pytest.mark.timeout(30)
+@pytest.mark.parametrize("place", ["a file", "a link"])
+def test_a_catalogue_that_came_with_the_sessions_is_not_opened(
+    folder: Path, tmp_path_factory: pytest.TempPathFactory, place: str
+) -> None:
+    before = list_sessions(folder)
+    catalogue_file(folder).unlink()
+    stranger = tmp_path_factory.mktemp("other") / "of-another-program.sqlite"
+    with closing(sqlite3.connect(stranger)) as database:
+        database.execute(ENDLESS)
+        database.execute("PRAGMA user_version = 1")
+    content = stranger.read_bytes()
+    beside = folder / "catalogue.sqlite"
+    if place == "a file":
+        beside.write_bytes(content)
+    else:
+        beside.symlink_to(stranger)
+    assert list_sessions(folder) == before
+    assert beside.read_bytes() == stranger.read_bytes() == content
+
+
+def test_sessions_with_strange_names_are_kept(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(store, "BUSY_S", 0.05)
-    before = list_sessions(folder).entries
-    os.utime(folder / "night-1" / "results" / "latest" / "results.json", (1, 1))
-    with closing(sqlite3.connect(folder / CATALOGUE_FILE, isolation_level=None)) as other:
-        other.execute("BEGIN IMMEDIATE")
-        found = list_sessions(folder)
-        assert found.entries == before
-        assert "cannot be written (database is locked)" in found.warnings[0]
-        with pytest.raises(InputError, match="end what uses it, or allow writing"):
-            read_catalogue(folder, rebuild=True)
+    for name in (b"\xff\xfe", b"\x1b[31mred", b"\xe2\x80\xaedrawkcab"):
+        (folder / "night-1").rename(folder / os.fsdecode(name))
+        before = list_sessions(folder)
+        assert os.fsdecode(name) in [entry.folder for entry in before.entries]
+        with monkeypatch.context() as patch:
+            forbid_reading(patch)
+            assert list_sessions(folder) == before
+        (folder / os.fsdecode(name)).rename(folder / "night-1")
 
 
-def test_without_permission_to_write_sessions_are_listed_all_the_same(
-    folder: Path, capsys: pytest.CaptureFixture[str]
+def test_what_cannot_be_read_is_tried_again(folder: Path) -> None:
+    results = folder / "night-1" / "results" / "latest" / "results.json"
+    text = results.read_bytes()
+    stamp = results.stat()
+    results.write_bytes(b"{" * len(text))
+    os.utime(results, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
+    assert list_sessions(folder).entries[0].problem
+    results.write_bytes(text)
+    os.utime(results, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
+    assert list_sessions(folder).entries[0].problem == ""
+
+
+def test_without_a_place_to_keep_it_sessions_are_listed_all_the_same(
+    folder: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    (folder / CATALOGUE_FILE).mkdir()  # for root too, nothing can be written there
+    (tmp_path / "state").touch()  # for root too, nothing can be written there
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     assert run(["list", str(folder)]) == 0
     printed = capsys.readouterr()
     assert "night-2" in printed.out
+    assert "all sessions were read anew, and nothing is kept" in printed.err
     assert printed.err.count("\n") == 1
     assert run(["catalogue", "rebuild", str(folder)]) == 2
-    assert "cannot be written" in capsys.readouterr().err
+    assert "cannot write" in capsys.readouterr().err
 
 
-def test_a_catalogue_of_a_later_version_stays_as_it_is(folder: Path) -> None:
-    before = list_sessions(folder).entries
-    file = folder / CATALOGUE_FILE
-    with closing(sqlite3.connect(file)) as database:
-        database.execute("PRAGMA user_version = 99")
-    found = list_sessions(folder)
-    assert found.entries == before
-    assert "it is of version 99, of a later labkit" in found.warnings[0]
-
-
-def test_a_catalogue_of_an_earlier_version_is_migrated_and_filled_again(
+def test_a_user_without_a_home_has_no_catalogue(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    before = list_sessions(folder).entries
-    later = (*store.MIGRATIONS, "ALTER TABLE results ADD COLUMN more TEXT")
-    monkeypatch.setattr(store, "MIGRATIONS", later)
-    with monkeypatch.context() as patch:
-        forbid_reading(patch)
-        with pytest.raises(AssertionError, match="night-1 was read again"):
-            list_sessions(folder)
-    assert list_sessions(folder).entries == before
-    with closing(sqlite3.connect(folder / CATALOGUE_FILE)) as database:
-        assert database.execute("PRAGMA user_version").fetchone() == (2,)
-        assert database.execute("PRAGMA journal_mode").fetchone() == ("wal",)
+    def homeless() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr(store, "state_folder", homeless)
+    found = list_sessions(folder)
+    assert len(found.entries) == 2
+    assert "no place to keep the catalogue in" in found.warnings[0]
+
+
+def test_a_list_of_sessions_ends_when_it_is_told_to(folder: Path) -> None:
+    """The reading of a session takes for ever here."""
+    program = (
+        "import labkit.catalogue.store as store, threading\n"
+        "store.read_entry = lambda *_: print('reading', flush=True) or threading.Event().wait()\n"
+        "from labkit.cli import main; import sys\n"
+        "sys.argv[1:] = ['list', sys.argv[1]]; main()"
+    )
+    command = [sys.executable, "-c", program, str(folder)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"reading\n"
+        process.terminate()
+        assert process.wait(30) == 130
 
 
 def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:

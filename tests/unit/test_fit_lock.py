@@ -70,7 +70,9 @@ def test_a_disk_that_cannot_be_written_to_is_named_with_what_to_do(
 
     monkeypatch.setattr("labkit.session.fit_lock.os.open", refuse)
     with (
-        pytest.raises(InputError, match=f"cannot write {tmp_path / 'latest'}: {words}"),
+        pytest.raises(
+            InputError, match=f"cannot write {tmp_path / '.latest.fitting'}: {words}"
+        ),
         fitted_alone(tmp_path / "latest"),
     ):
         pass

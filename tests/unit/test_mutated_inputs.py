@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Callable, Iterable
 from io import BytesIO
 from pathlib import Path
@@ -17,7 +16,7 @@ from labkit.errors import InputError
 from labkit.photographs.picture_file import read_picture
 from labkit.plan import Plan
 from labkit.session.import_frames import Row, read_rows
-from tests.mutations import NASTY, mutated
+from tests.mutations import NASTY, mended_png, mutated
 from tests.plans import PORTRAIT, RED_AND_GREEN, plan_text, simulated
 
 PLAN = plan_text(PORTRAIT, RED_AND_GREEN, simulated([3000, 3200.5], 2950.0))
@@ -89,16 +88,6 @@ def pictures() -> dict[str, bytes]:
     }
 
 
-def mended(png: bytes) -> bytes:
-    """A damaged PNG with checksums that fit the damage, as far as its chunks can be followed."""
-    at, whole = 8, png[:8]
-    while at + 12 <= len(png):
-        end = at + 8 + int.from_bytes(png[at : at + 4])
-        whole += png[at:end] + zlib.crc32(png[at + 4 : end]).to_bytes(4)
-        at = end + 4
-    return whole
-
-
 def picture_in(folder: Path) -> Callable[[bytes], object]:
     """Reads a picture in that folder, of at most 100 kB: nothing that is damaged grows."""
 
@@ -137,7 +126,7 @@ def test_damaged_pictures_that_reach_the_decoder_are_taken_or_refused_in_one_lin
 ) -> None:
     damaged = mutated(pictures()[name], 25, seed=4)
     messages = refusals(
-        map(mended, damaged) if name == "png" else damaged, picture_in(tmp_path)
+        map(mended_png, damaged) if name == "png" else damaged, picture_in(tmp_path)
     )
     assert len(messages) > 5
     assert unfit(messages, 300) == []

@@ -285,7 +285,7 @@ def test_a_headerless_file_is_read_as_the_plan_says_and_refused_where_it_cannot_
         RawError, match=r"3 × 3 numbers of 16 bit .* are 18 bytes: it has 12"
     ):
         read_photograph(path, Sensor.from_tables({**keys, "headerless_px": [3, 3]}))
-    with pytest.raises(RawError, match="no such file"):
+    with pytest.raises(RawError, match="No such file"):
         read_photograph(
             tmp_path / "none.raw", Sensor.from_tables({**keys, "headerless_px": [2, 3]})
         )

@@ -201,7 +201,7 @@ def test_a_picture_without_a_wedge_is_refused_in_one_line(
     assert run(["camera", "tone", str(path)]) == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert run(["camera", "tone", str(tmp_path)]) == 2
-    assert capsys.readouterr().err == f"labkit: {tmp_path}: Is a directory\n"
+    assert capsys.readouterr().err == f"labkit: {tmp_path}: a folder; a file is needed\n"
 
 
 def test_the_command_writes_what_a_plan_takes(tmp_path: Path, found: None) -> None:
