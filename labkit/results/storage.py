@@ -230,7 +230,7 @@ def _field(content: Content, plan: Plan, path: Path) -> FieldModel | None:
     try:
         arrays = npz.unpacked(path.read_bytes(), {COVARIANCE: most_bytes}.get)
         return entry.model(
-            np.array(arrays[COVARIANCE], float),
+            np.asarray(arrays[COVARIANCE], float),
             plan.sensor.pixel_pitch_um,
             plan.reference_wavelength_nm,
         )

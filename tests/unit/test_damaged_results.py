@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import json
 import random
 import re
+import struct
+import tracemalloc
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -43,6 +47,52 @@ def test_residuals_larger_than_the_photographs_are_not_unpacked(tmp_path: Path) 
     file.write_bytes(npz.packed({"data_3000_R": np.zeros((2, 1, 1000, 1000))}))
     with pytest.raises(DataError, match="takes more than 11520 bytes"):  # 2 × 24 × 30
         Results.load(file.parent)
+
+
+def test_the_arrays_of_a_file_have_one_limit_together_whatever_results_json_states(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A file of 4 MB took 8.3 GB: the limit of each array came from results.json, and there was none for all."""
+    file = written(tmp_path) / "residuals.npz"
+    changed(file.parent / "results.json", "wavefronts.0.shape_px", [2**12, 2**12])
+    array = np.zeros((2, 1, 2**8, 2**12), np.float32)
+    names = [f"{part}_3000_R" for part in ("data", "model", "sigma")]
+    file.write_bytes(npz.packed(dict.fromkeys(names, array)))
+    monkeypatch.setattr(npz, "MOST_BYTES", 2 * array.nbytes + 1)
+    tracemalloc.start()
+    with pytest.raises(DataError, match="its arrays take more than 16777217 bytes"):
+        Results.load(file.parent)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 3.5 * array.nbytes  # two arrays, one of which grew
+
+
+def test_a_header_that_states_another_size_than_the_array_has_is_refused(
+    tmp_path: Path,
+) -> None:
+    file = written(tmp_path) / "residuals.npz"
+    for stated, kept in ((40, 4_000_000), (1440, 10), (10**9, 10)):
+        buffer = io.BytesIO()
+        np.lib.format.write_array(buffer, np.zeros(kept))
+        header = buffer.getvalue().replace(b"(%d,)" % kept, b"(%d,)" % stated)
+        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+            archive.writestr("data_3000_R.npy", header)
+        with pytest.raises(DataError, match=r"is not whole|takes more than 11520 bytes"):
+            Results.load(file.parent)
+
+
+def test_a_file_of_a_million_arrays_is_refused_at_once(tmp_path: Path) -> None:
+    one = io.BytesIO()
+    with zipfile.ZipFile(one, "w") as archive:
+        archive.writestr("a.npy", b"")
+    content = one.getvalue()
+    local, rest = content.split(b"PK\1\2")
+    entry = b"PK\1\2" + rest.split(b"PK\5\6")[0]
+    end = struct.pack(
+        "<4s4H2LH", b"PK\5\6", 0, 0, 65535, 65535, 10**6 * len(entry), len(local), 0
+    )
+    with pytest.raises(ValueError, match="its list of arrays cannot be read"):
+        npz.unpacked(local + 10**6 * entry + end, lambda _: 10)
 
 
 @pytest.mark.parametrize(
