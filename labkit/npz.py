@@ -101,7 +101,9 @@ def _refuse_long_directory(content: bytes) -> None:
     if len(end) < LAST_RECORD.size:
         raise ValueError("it is damaged: it is no archive")
     signature, size, comment = LAST_RECORD.unpack(end)
-    zip64 = content[-LAST_RECORD.size - LOCATOR_BYTES : -LAST_RECORD.size].startswith(b"PK\6\7")
+    zip64 = content[-LAST_RECORD.size - LOCATOR_BYTES : -LAST_RECORD.size].startswith(
+        b"PK\6\7"
+    )
     if signature != b"PK\5\6" or comment or zip64 or size > MOST_DIRECTORY_BYTES:
         raise ValueError("it is damaged: its list of arrays cannot be read")
 

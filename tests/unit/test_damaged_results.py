@@ -124,7 +124,7 @@ HUGE, NOT_FINITE = 10**400, float("inf")
         ("wavefronts.0.noll.1", 4, "a mode twice"),
         ("wavefronts.0.waves_rms.0", HUGE, "wavefronts.0.waves_rms.0"),
         ("wavefronts.0.waves_rms.0", None, "valid number"),
-        ("wavefronts.0.waves_rms", [0.1], "1 coefficients"),
+        ("wavefronts.0.waves_rms", [0.1], "1 numbers in waves_rms for 3 modes"),
         ("wavefronts.0.range_mm", float("nan"), "wavefronts.0.range_mm"),
         ("wavefronts.0.range_mm", -1.0, "greater than 0"),
         ("wavefronts.0.wavelength_nm", 1e-300, "wavelength_nm = 1e-300"),
@@ -136,6 +136,31 @@ HUGE, NOT_FINITE = 10**400, float("inf")
         ("wavefronts.0.shape_px", [10**9, 1], "shape_px.0 = 1000000000"),
         ("wavefronts.0.spectrum", [[0.0, 1.0]], "spectrum.0.0"),
         ("wavefronts.0.model.residual_spectrum.power", [], "different lengths"),
+        ("wavefronts.0.std", [0.1], "1 numbers in std for 3 modes"),
+        ("wavefronts.0.std.1", 0.5, "std other than the roots"),
+        ("wavefronts.0.std.1", -0.5, "std.1 = -0.5"),
+        ("wavefronts.0.covariance", [[1e-6]], "covariance of shape (1, 1) for 3 modes"),
+        ("wavefronts.0.covariance.0.1", None, "an unknown number between known"),
+        ("wavefronts.0.pulls", [0.1, 0.2], "2 numbers in pulls for 3 modes"),
+        ("wavefronts.0.global_test.others.0.waves_rms", [], "others.0.waves_rms"),
+        ("wavefronts.0.frames", ["a"] * 3, "3 frames and 2 poses"),
+        ("wavefronts.0.corners_px", [[[0.0, 1.0]] * 4], "1 corners_px and 2 poses"),
+        ("wavefronts.0.key.range_mm", 1000.0, "has the key of R at 1000 mm"),
+        ("wavefronts.0.key.channel", "B", "has the key of B at 3000 mm"),
+        ("wavefronts.0.lambda_n_um.value", 0.0, "lambda_n_um.value = 0.0"),
+        ("wavefronts.0.lambda_n_um.value", None, "lambda_n_um.value"),
+        ("wavefronts.0.lambda_n_um.value", 18.0, "lambda_n_um = 18; its wavelength"),
+        ("wavefronts.0.f_number_working.value", 0.0, "f_number_working.value = 0.0"),
+        ("wavefronts.0.gain", -1.0, "gain = -1.0"),
+        ("wavefronts.0.read_noise", -1.0, "read_noise = -1.0"),
+        ("wavefronts.0.chi2_per_pixel", -1.0, "chi2_per_pixel = -1.0"),
+        ("wavefronts.0.global_test.p_value", 1.5, "p_value = 1.5"),
+        ("reference_wavelength_nm", 600.0, "the plan in it has 450"),
+        ("lens.range_zero_mm.value", None, "range_zero_mm.value"),
+        ("common.stated.f-number.std", -0.1, "stated.f-number.std = -0.1"),
+        ("common.covariance.0.1", 1e9, "is not symmetric"),
+        ("field.sensor_tilt_um_per_mm.covariance.0.1", 9.0, "is not symmetric"),
+        ("budget", {"x": {"y": -1.0}}, "budget.x.y = -1.0"),
         ("focus.covariance", [[1.0]], "has shape"),
         ("focus.best_focus_mm.R.std", -1.0, "greater than or equal to 0"),
         ("lens.f_number.value", 0.0, "greater than 0"),
@@ -154,6 +179,23 @@ def test_a_value_that_cannot_be_is_named(
         Results.load(tmp_path)
     assert "is not as schema 3 has it" in str(caught.value)
     assert len(str(caught.value)) < 600
+
+
+def test_the_covariance_of_a_field_that_is_none_gives_one_line(tmp_path: Path) -> None:
+    folder = tmp_path / "results" / "latest"
+    full_results().write(folder)
+    file = folder / "field.npz"
+    whole = np.load(file)["covariance"]
+    for damage, words in (
+        (lambda c: c.__setitem__((0, 1), 9.0), "is not symmetric"),
+        (lambda c: c.__setitem__((0, 0), -1.0), "a variance below 0"),
+        (lambda c: c.__imul__(4.0), "other standard errors than their covariance"),
+    ):
+        covariance = whole.copy()
+        damage(covariance)
+        file.write_bytes(npz.packed({"covariance": covariance}))
+        with pytest.raises(DataError, match=words):
+            Results.load(tmp_path)
 
 
 def changed(file: Path, where: str, value: Any) -> None:
