@@ -186,11 +186,12 @@ def test_the_covariance_of_a_field_that_is_none_gives_one_line(tmp_path: Path) -
     full_results().write(folder)
     file = folder / "field.npz"
     whole = np.load(file)["covariance"]
-    for damage, words in (
+    damages: tuple[tuple[Callable[[Any], Any], str], ...] = (
         (lambda c: c.__setitem__((0, 1), 9.0), "is not symmetric"),
         (lambda c: c.__setitem__((0, 0), -1.0), "a variance below 0"),
         (lambda c: c.__imul__(4.0), "other standard errors than their covariance"),
-    ):
+    )
+    for damage, words in damages:
         covariance = whole.copy()
         damage(covariance)
         file.write_bytes(npz.packed({"covariance": covariance}))
