@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from labkit.cli.console import Console
+from labkit.cli.console import Console, print_line
 from labkit.errors import DataError, InputError, PlanError
 from labkit.session.journal import journal_in
 from labkit.version import __version__
@@ -76,7 +76,7 @@ SessionPath = Annotated[
 
 def _version(asked: bool) -> None:
     if asked:
-        print(f"labkit {__version__}")
+        print_line(f"labkit {__version__}")
         raise typer.Exit
 
 

@@ -295,8 +295,8 @@ GOOD = Photograph(
     ids=str,
 )
 def test_a_photograph_that_cannot_be_is_none(changed: dict[str, Any]) -> None:
-    with pytest.raises(ValueError, match="."):
+    with pytest.raises(ValueError, match=r"allowed|rows|cut|levels"):
         replace(GOOD, **changed)
     for names in ({"lens": "\u202egnp"}, {"f_number": np.inf}, {"size_px": (0, 9)}):
         with pytest.raises(ValueError, match="allowed"):
-            Exif(**names)  # type: ignore[arg-type]
+            Exif(**names)
