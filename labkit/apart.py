@@ -1,4 +1,4 @@
-"""Run functions that read foreign files in a separate process, with limits of time and memory.
+"""Run functions that read foreign files in a separate process, with limits of time and memory, and without network.
 
 Libraries that decode photographs follow whatever a damaged file states: for minutes,
 through gigabytes, or into foreign memory. The process starts with the first file, serves
@@ -34,6 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labkit import typed_file
+from labkit.confinement import confine
 from labkit.errors import InputError, RawError, shown
 from labkit.npz import Arrays
 from labkit.types import JSON
@@ -55,6 +56,17 @@ IDLE_S = 10.0
 """A process that has no file for so long is ended: its libraries take 60 MB, and fits go on for minutes without it."""
 
 MOST_ANSWER_BYTES = 2**32
+"""Of all arrays of an answer."""
+
+MOST_TREE_BYTES = 2**24
+"""Of the rest of an answer."""
+
+MOST_PRINTED_BYTES = 2**20
+"""Of files that are written while a file is decoded: what libraries print is collected."""
+
+MOST_DESCRIPTORS = 128
+MOST_TEXT = 10_000
+"""Characters of an error."""
 
 LENGTH = struct.Struct("<Q")
 NUMBER_TYPES = re.compile(r"[<>|][biuf]\d")
@@ -124,18 +136,41 @@ class _Process:
         except BrokenPipeError:
             raise EOFError from None
         (length,) = LENGTH.unpack(self._received(LENGTH.size, deadline).data)
-        answer = json.loads(bytes(self._received(length, deadline)))
-        arrays = {}
-        at = 0
-        for name, dtype, shape in answer.pop("arrays", ()):
-            if not NUMBER_TYPES.fullmatch(dtype):
-                raise EOFError
-            size = np.dtype(dtype).itemsize * prod(shape)
-            arrays[name] = self._read(size, at).view(dtype).reshape(shape)
-            at += size
+        if length > MOST_TREE_BYTES:
+            raise EOFError
+        try:
+            answer, arrays = self._checked(
+                json.loads(bytes(self._received(length, deadline)))
+            )
+        except (LookupError, TypeError, ValueError, RecursionError):
+            raise EOFError from None  # whoever took the process over answers so
         os.ftruncate(
             self._memory.fileno(), 0
         )  # a frame would stay in memory until the next
+        return answer, arrays
+
+    def _checked(self, answer: dict[str, Any]) -> tuple[dict[str, Any], Arrays]:
+        """Return an answer and its arrays.
+
+        Raises EOFError, LookupError, TypeError, ValueError for an answer that `_answer` does not give.
+        """
+        arrays: Arrays = {}
+        at = 0
+        for name, dtype, shape in answer.pop("arrays"):
+            if not NUMBER_TYPES.fullmatch(dtype):
+                raise EOFError
+            if not all(type(side) is int and side >= 0 for side in shape):
+                raise EOFError
+            size = np.dtype(dtype).itemsize * prod(shape)
+            if at + size > MOST_ANSWER_BYTES:
+                raise EOFError
+            arrays[str(name)] = self._read(size, at).view(dtype).reshape(shape)
+            at += size
+        if "failed" in answer:
+            answer["text"] = str(answer["text"])[:MOST_TEXT]
+            answer["errno"] = int(answer.get("errno", 0))
+        elif "tree" not in answer:
+            raise EOFError
         return answer, arrays
 
     def end(self) -> int:
@@ -156,8 +191,6 @@ class _Process:
 
     def _received(self, size: int, deadline: float) -> Bytes:
         """Return so many bytes of the answer."""
-        if not 0 <= size <= MOST_ANSWER_BYTES:
-            raise EOFError
         assert self._process.stdout is not None
         buffer = np.empty(size, np.uint8)
         view = buffer.data
@@ -173,8 +206,6 @@ class _Process:
 
     def _read(self, size: int, at: int) -> Bytes:
         """Return so many bytes of the shared file."""
-        if not 0 <= size <= MOST_ANSWER_BYTES:
-            raise EOFError
         buffer = np.empty(size, np.uint8)
         view = buffer.data
         while len(view):
@@ -224,9 +255,9 @@ def _ask(request: bytes) -> tuple[dict[str, Any], Arrays]:
 def _raise(answer: dict[str, Any]) -> NoReturn:
     """Raise the error that an answer reports."""
     name = str(answer["failed"])
-    text = str(answer["text"])
+    text = answer["text"]
     if name == OSError.__name__:
-        raise OSError(int(answer["errno"]), text)
+        raise OSError(answer["errno"], text)
     raise SHARED_ERRORS.get(name, InputError)(text)
 
 
@@ -275,6 +306,8 @@ def serve(memory: int) -> None:
     """
     global _serving
     _serving = True
+    _limit_for_good()
+    confine()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever asks ends this process
     requests = os.fdopen(os.dup(0), "rb")
     answers = os.fdopen(os.dup(1), "wb", buffering=0)
@@ -336,6 +369,17 @@ def _allowed(path: Path) -> tuple[float, int]:
     return SECONDS + size / BYTES_A_SECOND, MEMORY_BYTES + MEMORY_A_BYTE * size
 
 
+def _limit_for_good() -> None:
+    """Limit what no file needs: open descriptors, and dumps of memory."""
+    with suppress(ImportError, OSError, ValueError):
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+        if most == resource.RLIM_INFINITY or most > MOST_DESCRIPTORS:
+            resource.setrlimit(resource.RLIMIT_NOFILE, (MOST_DESCRIPTORS,) * 2)
+
+
 def _limit(seconds: float, memory_bytes: int) -> None:
     """Limit the processor time and the memory of this process from now on.
 
@@ -352,6 +396,8 @@ def _limit(seconds: float, memory_bytes: int) -> None:
         _, most = resource.getrlimit(resource.RLIMIT_AS)
         taken = pages * resource.getpagesize()
         resource.setrlimit(resource.RLIMIT_AS, (taken + memory_bytes, most))
+        _, most = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (MOST_PRINTED_BYTES, most))
 
 
 def _unlimit() -> None:
@@ -359,6 +405,6 @@ def _unlimit() -> None:
     with suppress(ImportError, OSError, ValueError):
         import resource
 
-        for what in (resource.RLIMIT_CPU, resource.RLIMIT_AS):
+        for what in (resource.RLIMIT_CPU, resource.RLIMIT_AS, resource.RLIMIT_FSIZE):
             _, most = resource.getrlimit(what)
             resource.setrlimit(what, (most, most))

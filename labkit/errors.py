@@ -126,7 +126,12 @@ class DisplayError(DeviceError):
 
 
 def printable(text: str) -> str:
-    """Return the text with all unprintable characters, such as control characters, escaped as in Python."""
+    """Return the text with all unprintable characters escaped as in Python.
+
+    They are control characters, those that turn the direction of writing, and bytes of names that are not UTF-8.
+    """
+    if text.isprintable():
+        return text
     return "".join(
         letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text
     )

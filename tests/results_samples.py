@@ -97,7 +97,7 @@ def a_wavefront(
         "chi2_per_pixel": 1.018,
         "test": ACCEPTED,
         "seconds": 4.2,
-        "frames": (f"target_{range_mm}_{channel}.dng",),
+        "frames": tuple(f"target_{range_mm}_{channel}_{k}.dng" for k in range(2)),
         "placement": Placement(
             (10, 20), (24, 30), np.array([[[12, 22], [12, 40], [30, 40], [30, 22.0]]] * 2)
         ),

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from math import isfinite, isnan, nan
 
 from labkit.devices.protocols import Travel
 
 BANNER = re.compile(r"grbl(?:hal)? (\d+\.\d+)", re.IGNORECASE)
 ALARM = re.compile(r"ALARM:(\d+)")
 ERROR = re.compile(r"error:(\d+)")
-SETTING = re.compile(r"\$(\d+)=(-?\d+(?:\.\d+)?)")
+SETTING = re.compile(r"\$(\d{1,9})=(.*)")
 NUMBER_PATTERN = r"-?\d+(?:\.\d+)?"
 REPORT_PATTERN = re.compile(
     rf"<(?P<state>[A-Z][a-z]+(?::\d+)?)\|(?P<kind>[MW])Pos:(?P<x>{NUMBER_PATTERN})(?:,{NUMBER_PATTERN})*(?P<rest>(?:\|[^|<>]*)*)>"
@@ -67,6 +68,19 @@ NEEDED_SETTINGS = (
 )
 """Settings that a rail is driven by; their numbers are the same in GRBL 1.1 and grblHAL."""
 
+STEPS_PER_MM = 100
+
+SENSIBLE = {
+    STEPS_PER_MM: ("its steps per mm", 1e6),
+    MAX_RATE: ("its largest speed in mm/min", 1e6),
+    ACCELERATION: ("its acceleration in mm/s²", 1e6),
+    MAX_TRAVEL: ("its travel in mm", 1e5),
+    SEEK_RATE: ("the speed in mm/min at which it searches for its limit switch", 1e6),
+    LOCATE_RATE: ("the speed in mm/min at which it approaches its limit switch", 1e6),
+    PULL_OFF: ("how far it backs off its limit switch in mm", 1e3),
+}
+"""Settings above 0, in words, and their largest values, far beyond any rail: a lost EEPROM has zeros, or largest numbers."""
+
 MACHINE_POSITION, HAL_OFFSET, HAL_PARSER_STATE = 1, 32, 512
 """Bits of $10: what reports hold. GRBL reports the work offset in any case; grblHAL's parser state would come unasked."""
 
@@ -107,8 +121,24 @@ def read_report(line: str) -> Report | None:
     )
 
 
+def read_settings(lines: Iterable[str]) -> dict[int, float]:
+    """Return the settings in the answer to $$, by number; nan for one that is no number."""
+    found = (SETTING.fullmatch(line.strip()) for line in lines)
+    return {int(each[1]): _number(each[2]) for each in found if each}
+
+
+def _number(text: str) -> float:
+    """Return the number of a setting; nan for text that is no finite number."""
+    # controllers write no exponents
+    number = float(text) if re.fullmatch(NUMBER_PATTERN, text) else nan
+    return number if isfinite(number) else nan
+
+
 def unfit(settings: Mapping[int, float], is_hal: bool) -> str | None:
     """Return the setting with which a rail cannot be driven, in words; None if there is none."""
+    for number in NEEDED_SETTINGS:
+        if isnan(settings[number]):
+            return f"reports no number as its setting ${number}; set ${number} again"
     reports = int(settings[REPORTS])
     if settings[INCHES]:
         return "reports in inches ($13=1); set $13=0"
@@ -118,6 +148,10 @@ def unfit(settings: Mapping[int, float], is_hal: bool) -> str | None:
         return f"reports work positions without their offset ($10={reports}), so its position cannot be known; set $10=511"
     if is_hal and reports & HAL_PARSER_STATE:
         return f"reports its parser's state unasked ($10={reports}), which labkit takes for an answer; set $10=511"
+    for number, (words, most) in SENSIBLE.items():
+        # grblHAL's axes without motors have no steps to report
+        if number in settings and not 0 < settings[number] <= most:
+            return f"has {words} ${number}={settings[number]:g}; allowed is above 0, at most {most:g}: set ${number}"
     return None
 
 

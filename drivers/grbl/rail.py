@@ -219,8 +219,7 @@ class GrblRail(SerialRail):
             line[5:-1].partition(",")[0] for line in lines if line.startswith("[OPT:")
         )
         is_hal = any("grblhal" in line.lower() for line in lines)
-        read = [found for line in lines if (found := grbl.SETTING.fullmatch(line))]
-        self._settings = {int(found[1]): float(found[2]) for found in read}
+        self._settings = grbl.read_settings(lines)
         if missing := [
             f"${number}" for number in grbl.NEEDED_SETTINGS if number not in self._settings
         ]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable
+from math import inf
 
 from labkit.devices.context import DeviceContext
 from labkit.devices.protocols import Travel
@@ -27,7 +28,7 @@ from labkit.drivers.zaber.protocol import (
     command_line,
     read_reply,
 )
-from labkit.errors import DeviceTimeoutError, PlanError, RailError
+from labkit.errors import DeviceTimeoutError, PlanError, RailError, shown
 from labkit.plan import Plan
 
 DEVICE = 1
@@ -140,6 +141,10 @@ class ZaberRail(SerialRail):
         low, high, speed = (
             self._number_of(name) for name in ("limit.min", "limit.max", "maxspeed")
         )
+        if not 0 < speed < inf:
+            raise RailError(
+                f"{self} has maxspeed = {speed:g}; allowed is above 0: set maxspeed"
+            )
         self._speed_mm_per_s = speed / SPEED_UNIT * self._microstep_mm
         try:
             self._reach = Travel(low * self._microstep_mm, high * self._microstep_mm)
@@ -150,7 +155,13 @@ class ZaberRail(SerialRail):
             ) from error
 
     def _number_of(self, setting: str) -> float:
-        return float(self._ask(f"get {setting}").data)
+        data = self._ask(f"get {setting}").data
+        try:
+            return float(data)
+        except ValueError:
+            raise RailError(
+                f"{self} reports {setting} = {shown(data)}, which is no number; look at its axis and its firmware"
+            ) from None
 
     def _position_mm(self) -> float:
         return self._number_of("pos") * self._microstep_mm

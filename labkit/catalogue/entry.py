@@ -9,7 +9,7 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from labkit.errors import LabkitError
+from labkit.errors import LabkitError, printable
 from labkit.uncertain import Uncertain
 
 if TYPE_CHECKING:
@@ -80,16 +80,24 @@ def read_entry(session: Path, name: str) -> Entry:
     session : the session's folder
     name : of its results; empty for a session without any
     """
+    try:
+        return _read(session, name)
+    except (LabkitError, OSError, MemoryError) as error:
+        return Entry(session.name, name, problem=str(error) or "there is not enough memory")
+    except Exception as error:  # numbers that no lens has break arithmetic in many ways
+        why = f"its numbers cannot be used: {type(error).__name__}: {error}"
+        return Entry(session.name, name, problem=printable(why))
+
+
+def _read(session: Path, name: str) -> Entry:
+    """Return the entry of a session that can be read. Raises LabkitError, OSError, and whatever its numbers break."""
     from labkit.plan import Plan
     from labkit.results import Results
     from labkit.session.session import Session
 
-    try:
-        opened = Session.open(session)
-        results = Results.load(session, name, residuals=False) if name else None
-        plan: Plan = opened.plan if results is None else results.plan
-    except (LabkitError, OSError) as error:
-        return Entry(session.name, name, problem=str(error))
+    opened = Session.open(session)
+    results = Results.load(session, name, residuals=False) if name else None
+    plan: Plan = opened.plan if results is None else results.plan
     exif = _first_exif(opened)
     body = plan.camera.body if plan.camera else None
     known = Entry(

@@ -23,11 +23,13 @@ class History:
     lens : the lens with its serial number
     channel : name of the channel
     entries : the sessions
+    left_out : sessions that cannot be read, whichever lens they are of
     """
 
     lens: str
     channel: str
     entries: tuple[Entry, ...]
+    left_out: tuple[Entry, ...] = ()
 
     def number(self, entry: Entry, quantity: str) -> Uncertain | None:
         """Return a session's number, such as `best_focus_mm` or `waves.7`; None if it has none."""
@@ -65,6 +67,7 @@ class History:
             "lens": self.lens,
             "channel": self.channel,
             "sessions": sessions,
+            "left_out": {entry.folder: entry.problem for entry in self.left_out},
         }
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,11 +11,12 @@ from typing import TYPE_CHECKING
 from labkit.catalogue.entry import read_entry
 from labkit.catalogue.history import History, history_of
 from labkit.catalogue.store import Catalogue, read_catalogue
-from labkit.errors import DataError
+from labkit.errors import DataError, LabkitError
 from labkit.types import Progress, no_progress
 
 if TYPE_CHECKING:
     from labkit.catalogue.compare import Comparison
+    from labkit.results import Results
 
 
 def list_sessions(folder: Path | str = ".", progress: Progress = no_progress) -> Catalogue:
@@ -90,7 +93,8 @@ def lens_history(
     >>> [history.number(entry, "waves.8") for entry in history.entries]
     """
     catalogue = read_catalogue(Path(folder), progress=progress)
-    return history_of(catalogue.entries, lens, channel, name)
+    left_out = tuple(entry for entry in catalogue.entries if entry.problem)
+    return replace(history_of(catalogue.entries, lens, channel, name), left_out=left_out)
 
 
 def compare_sessions(
@@ -112,22 +116,66 @@ def compare_sessions(
     >>> (comparison,) = labkit.compare_sessions("before", "after")
     >>> print(comparison.p_value, comparison.largest)
     """
-    from labkit.catalogue.compare import compare_results, shares_wavelengths
+    comparisons, left_out = compare_readable(*sessions, name=name, same_focus=same_focus)
+    for error in left_out.values():
+        raise error
+    return comparisons
+
+
+def compare_readable(
+    *sessions: Path | str, name: str = "latest", same_focus: bool = False
+) -> tuple[tuple[Comparison, ...], dict[str, LabkitError]]:
+    """Compare sessions in pairs, as `compare_sessions` does, and leave out what cannot be compared.
+
+    Parameters
+    ----------
+    sessions, name, same_focus : as of `compare_sessions`
+
+    Returns
+    -------
+    The comparisons, and the reason for each session or pair that was left out
+
+    Raises
+    ------
+    DataError
+        no two sessions can be compared
+    """
+    from labkit.catalogue.compare import compare_results
     from labkit.results import Results
 
     if len(sessions) < 2:
         raise DataError("give two sessions or more to compare")
-    results = [Results.load(one, name, residuals=False) for one in sessions]
-    cameras = [""] * len(sessions)
-    if any(shares_wavelengths(one) for one in results):
-        cameras = [read_entry(Path(one), name).camera for one in sessions]
-    return tuple(
-        compare_results(
-            results[a],
-            results[b],
-            names=(str(sessions[a]), str(sessions[b])),
-            same_focus=same_focus,
-            same_camera=cameras[a] == cameras[b],
-        )
-        for a, b in combinations(range(len(sessions)), 2)
-    )
+    results = list[tuple[str, Results]]()
+    left_out = dict[str, LabkitError]()
+    for session in map(str, sessions):
+        try:
+            results.append((session, Results.load(session, name, residuals=False)))
+        except LabkitError as error:
+            left_out[session] = error
+    cameras = _cameras(results, name)
+    comparisons = []
+    for (a, first), (b, second) in combinations(results, 2):
+        try:
+            comparisons.append(
+                compare_results(
+                    first,
+                    second,
+                    names=(a, b),
+                    same_focus=same_focus,
+                    same_camera=cameras[a] == cameras[b],
+                )
+            )
+        except LabkitError as error:
+            left_out[f"{a} and {b}"] = error
+    if not comparisons:
+        raise next(iter(left_out.values()))
+    return tuple(comparisons), left_out
+
+
+def _cameras(results: Sequence[tuple[str, Results]], name: str) -> dict[str, str]:
+    """Return the body of each session; empty texts where no results depend on it."""
+    from labkit.catalogue.compare import shares_wavelengths
+
+    if not any(shares_wavelengths(held) for _, held in results):
+        return {session: "" for session, _ in results}
+    return {session: read_entry(Path(session), name).camera for session, _ in results}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import os
-import tomllib
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,9 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from labkit.cli.console import Console
+from labkit.cli.console import Console, print_line
 from labkit.errors import DataError, InputError, PlanError
-from labkit.reading import MOST_NOTE_BYTES, read_text
 from labkit.session.journal import journal_in
 from labkit.version import __version__
 
@@ -78,7 +76,7 @@ SessionPath = Annotated[
 
 def _version(asked: bool) -> None:
     if asked:
-        print(f"labkit {__version__}")
+        print_line(f"labkit {__version__}")
         raise typer.Exit
 
 
@@ -132,19 +130,24 @@ def targets(incomplete: str) -> list[str]:
 
 def channels(ctx: typer.Context, incomplete: str) -> list[str]:
     """Return the channels of the session on the command line; the usual ones without a session."""
+    from labkit.plan.text import read_tables, read_text
+
     session = ctx.params.get("session") or next(
         iter(ctx.args), ""
     )  # a line that is not complete has it left over
     try:
-        plan = tomllib.loads(read_text(Path(session) / "plan.toml", MOST_NOTE_BYTES))
+        plan = read_tables(read_text(Path(session) / "plan.toml"))
         names = [str(channel["name"]) for channel in plan["channel"]]
-    except (KeyError, TypeError, OSError, ValueError):
+    except (KeyError, TypeError, ValueError, PlanError):
         names = ["R", "G", "B"]
     return _begin(incomplete, names)
 
 
 def _begin(incomplete: str, words: Iterable[str]) -> list[str]:
-    return sorted(word for word in words if word.startswith(incomplete))
+    # shells print words as they are, and those of files are anybody's
+    return sorted(
+        word for word in words if word.startswith(incomplete) and word.isprintable()
+    )
 
 
 NO_SUCH_FILE = os.strerror(errno.ENOENT)

@@ -71,7 +71,7 @@ def devices(
     console: Console = ctx.obj
     connected = list_connected(probe=not (udev or no_probe))
     if udev:
-        console.say(udev_rules(connected))
+        console.say_lines(udev_rules(connected))
         console.answer({"udev": udev_rules(connected)})
         return
     for title, rows in device_tables(connected):
@@ -96,9 +96,7 @@ def camera_settings(ctx: typer.Context, where: CameraPlace = "gphoto2:") -> None
     for setting in settings:
         allowed = "read only" if setting.readonly else ", ".join(map(str, setting.choices))
         cells = (setting.name, str(setting.value), allowed)
-        rows.append(
-            ["".join(letter for letter in cell if letter.isprintable()) for cell in cells]
-        )
+        rows.append([*cells])
     console.table(rows)
     console.answer({**asdict(info), "settings": [asdict(setting) for setting in settings]})
 
@@ -171,7 +169,7 @@ def camera_tone(
     console: Console = ctx.obj
     tone = measure_tone(photograph)
     if out is None:
-        console.say(tone.to_toml())
+        console.say_lines(tone.to_toml())
     else:
         write_new(out, tone.to_toml() + "\n")
         console.say(f"{out}: put it into the plan")
@@ -434,7 +432,7 @@ def rail_calibrate(
         say=console.warn if at_terminal() else None,
     )
     std = "" if zero.std_mm is None else f"  # ± {zero.std_mm:.1f}"
-    console.say(
+    console.say_lines(
         f"[rail]\nrange_at_zero_mm = {zero.range_at_zero_mm:.1f}{std}\ndirection = {zero.direction}"
     )
     for place, misfit in zip(zero.positions_mm, zero.misfit_mm, strict=True):

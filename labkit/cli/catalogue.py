@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,7 +15,6 @@ if TYPE_CHECKING:
     from labkit.catalogue.compare import Comparison, Difference
     from labkit.catalogue.entry import Entry
     from labkit.catalogue.history import History
-    from labkit.catalogue.store import Catalogue
 
 # What a command needs is imported inside it: `labkit --help` and tab completion must not wait for SciPy.
 
@@ -38,7 +38,8 @@ def list_(ctx: typer.Context, folder: Sessions = Path()) -> None:
     console: Console = ctx.obj
     with console.progress("reading") as report:
         catalogue = list_sessions(folder, report)
-    _warn(console, catalogue)
+    console.warn(*catalogue.warnings)
+    _name_left_out(console, catalogue.entries)
     read = [entry for entry in catalogue.entries if not entry.problem]
     console.table([LIST_HEADING, *map(_row, read)])
     entries = [entry.as_json() for entry in catalogue.entries]
@@ -69,10 +70,9 @@ def _row(entry: Entry) -> list[str]:
     ]
 
 
-def _warn(console: Console, catalogue: Catalogue) -> None:
-    """Name the catalogue's faults, and each session left out."""
-    console.warn(*catalogue.warnings)
-    for entry in catalogue.entries:
+def _name_left_out(console: Console, entries: Iterable[Entry]) -> None:
+    """Name each session that is left out, with the reason."""
+    for entry in entries:
         if entry.problem:
             console.warn(f"{entry.folder} is left out: {entry.problem}")
 
@@ -105,6 +105,7 @@ def history(
     console: Console = ctx.obj
     with console.progress("reading") as report:
         found = lens_history(lens, channel, folder=folder, name=name, progress=report)
+    _name_left_out(console, found.left_out)
     console.say(f"{found.lens}, channel {found.channel}, {len(found.entries)} sessions")
     console.table(_history_rows(found))
     if out is not None:
@@ -156,16 +157,19 @@ def compare(
     """Say whether sessions are of one lens. Differences with standard errors, and the probability of one lens."""
     for session in sessions:
         a_session(session)
-    from labkit.catalogue.sessions import compare_sessions
+    from labkit.catalogue.sessions import compare_readable
 
     console: Console = ctx.obj
     pairs = []
-    for pair in compare_sessions(*sessions, name=name, same_focus=same_focus):
+    compared, left_out = compare_readable(*sessions, name=name, same_focus=same_focus)
+    console.warn(*(f"{words} left out: {error}" for words, error in left_out.items()))
+    for pair in compared:
         _show(console, pair)
         pairs.append(pair.as_json())
         if out is not None:
             console.say(f"map: {_written(out, pair)}")
-    console.answer({"schema": 1, "pairs": pairs})
+    why = {words: str(error) for words, error in left_out.items()}
+    console.answer({"schema": 1, "pairs": pairs, "left_out": why})
 
 
 def _show(console: Console, pair: Comparison) -> None:
@@ -209,7 +213,8 @@ def rebuild(ctx: typer.Context, folder: Sessions = Path()) -> None:
     console: Console = ctx.obj
     with console.progress("reading") as report:
         catalogue = rebuild_catalogue(folder, report)
-    _warn(console, catalogue)
+    console.warn(*catalogue.warnings)
+    _name_left_out(console, catalogue.entries)
     left_out = sum(bool(entry.problem) for entry in catalogue.entries)
     read = len(catalogue.entries) - left_out
     console.say(f"{folder}: {read} results, {left_out} left out")

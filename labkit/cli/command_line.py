@@ -17,7 +17,7 @@ import typer
 from typer.exceptions import TyperException
 
 from labkit.cli.app import app
-from labkit.cli.console import Console, error_line
+from labkit.cli.console import Console, error_line, print_line
 from labkit.errors import LabkitError
 from labkit.files import open_standard_streams
 
@@ -138,11 +138,13 @@ def _failed(error: BaseException, console: Console) -> int:
     if isinstance(error, SystemExit):
         return error.code if isinstance(error.code, int) else 1
     if console.debug:
-        traceback.print_exception(error)
+        for line in "".join(traceback.format_exception(error)).splitlines():
+            print_line(line, file=sys.stderr)
     if isinstance(error, TyperException):
         usage = error.format_message()
         if "\n" in usage:  # the help that a bare command prints
-            print(usage, file=sys.stderr)
+            for line in usage.splitlines():
+                print_line(line, file=sys.stderr)
         else:
             context = getattr(error, "ctx", None)
             error_line(

@@ -1,4 +1,8 @@
-"""Print for the command line: text or JSON on stdout, errors and progress on stderr."""
+"""Print for the command line: text or JSON on stdout, errors and progress on stderr.
+
+Nothing else in the command line prints. Names of folders and texts of files may hold characters that act on a terminal:
+all are escaped here.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from io import StringIO
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 from labkit.errors import printable
 from labkit.pace import Work
@@ -44,30 +48,36 @@ class Console:
     def say(self, text: str) -> None:
         """Print a line for people; nothing with --quiet or --json."""
         if not (self.quiet or self.json):
-            print(text, flush=True)  # some is said while work goes on
+            print_line(text)
+
+    def say_lines(self, text: str) -> None:
+        """Print a text of several lines for people; nothing with --quiet or --json."""
+        for line in text.splitlines():
+            self.say(line)
 
     def answer(self, data: dict[str, Any]) -> None:
         """Print the command's answer as JSON; nothing without --json."""
         if self.json:
             self.answered = True
-            print(json.dumps(data, indent=1, ensure_ascii=False))
+            for line in json.dumps(data, indent=1, ensure_ascii=False).split("\n"):
+                print(_json_escaped(line))
 
     def failed(self, kind: str, message: str) -> None:
         """Print an error as JSON, unless an answer, which states the error, was printed before."""
         if self.json and not self.answered:
             with suppress(OSError):
-                self.answer({"error": {"kind": kind, "message": printable(message)}})
+                self.answer({"error": {"kind": kind, "message": message}})
 
     def warn(self, *texts: str) -> None:
         """Print warnings on stderr; nothing with --quiet."""
         for text in () if self.quiet else texts:
-            print(f"labkit: warning: {printable(text)}", file=sys.stderr)
+            print_line(f"labkit: warning: {text}", file=sys.stderr)
 
     def link(self, what: str, url: str) -> None:
         """Print the address of a page on stderr, with its QR code on a terminal; nothing with --quiet."""
         if self.quiet:
             return
-        print(f"{what}: {url}", file=sys.stderr)
+        print_line(f"{what}: {url}", file=sys.stderr)
         if sys.stderr.isatty():
             import segno
 
@@ -77,6 +87,7 @@ class Console:
 
     def table(self, rows: Sequence[Sequence[str]], indent: str = "") -> None:
         """Print rows in aligned columns; the first row is the heading."""
+        rows = [[printable(cell) for cell in row] for row in rows]
         widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
         for row in rows:
             cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
@@ -121,7 +132,7 @@ class Console:
 def _line(work: Work) -> str:
     """Say how far some work is."""
     done = f" {work.pace.done}/{work.pace.total}" if work.pace.total else ""
-    step = f": {printable(work.step)}" if work.step else ""
+    step = f": {work.step}" if work.step else ""
     return f"labkit: {work.doing}{done}, {work.times()}{step}"
 
 
@@ -133,7 +144,7 @@ def _lines(work: Work) -> Iterator[None]:
     def speak() -> None:
         while not ended.wait(EVERY_S):
             with suppress(OSError, ValueError):  # nobody reads any more
-                print(_line(work), file=sys.stderr, flush=True)
+                print_line(_line(work), file=sys.stderr)
 
     speaker = threading.Thread(target=speak, name="labkit-progress", daemon=True)
     speaker.start()
@@ -145,6 +156,20 @@ def _lines(work: Work) -> Iterator[None]:
 
 
 def error_line(text: object) -> None:
-    """Print one line on stderr, with unprintable characters escaped; nothing if the terminal is gone."""
+    """Print one line on stderr; nothing if the terminal is gone."""
     with suppress(OSError):
-        print(f"labkit: {printable(' '.join(str(text).split()))}", file=sys.stderr)
+        print_line(f"labkit: {' '.join(str(text).split())}", file=sys.stderr)
+
+
+def print_line(text: str, *, file: TextIO | None = None, end: str = "\n") -> None:
+    """Print a line at once, with unprintable characters escaped. file: stdout by default."""
+    print(printable(text), file=file, end=end, flush=True)
+
+
+def _json_escaped(line: str) -> str:
+    """Return a line of JSON with unprintable characters escaped as JSON has it."""
+    if line.isprintable():
+        return line
+    return "".join(
+        letter if letter.isprintable() else json.dumps(letter)[1:-1] for letter in line
+    )

@@ -26,6 +26,6 @@ def noise(ctx: typer.Context, session: SessionPath) -> None:
     console.warn(*measured.notes())
     console.table(measured.rows())
     console.say("for the [[channel]] tables of plans with this camera:")
-    console.say(measured.to_toml())
+    console.say_lines(measured.to_toml())
     console.say(f"results: {page.with_suffix('.json')}, {page}")
     console.answer(measured.as_json())

@@ -6,8 +6,9 @@ import sys
 from collections.abc import Callable
 from typing import TypeVar
 
+from labkit.cli.console import print_line
 from labkit.devices.operator import forget_typed
-from labkit.errors import InputError, printable
+from labkit.errors import InputError
 
 Value = TypeVar("Value")
 
@@ -26,15 +27,10 @@ def ask(question: str, default: str = "") -> str:
     terminal = at_terminal()
     if terminal:
         forget_typed(sys.stdin)
-    print(
-        f"{question}{f' [{default}]' if default else ''}: ",
-        end="",
-        file=sys.stderr,
-        flush=True,
-    )
+    print_line(f"{question}{f' [{default}]' if default else ''}: ", end="", file=sys.stderr)
     line = sys.stdin.readline() if sys.stdin is not None and not sys.stdin.closed else ""
     if not (terminal and line.endswith("\n")):
-        print(file=sys.stderr)
+        print_line("", file=sys.stderr)
     if not line:
         raise InputError(f"the input ended at the question: {question}")
     return line.strip() or default
@@ -52,4 +48,4 @@ def ask_until(question: str, read: Callable[[str], Value], default: str = "") ->
         except InputError as error:
             if not at_terminal() or str(error).startswith("the input ended"):
                 raise
-            print(f"  {printable(str(error))}", file=sys.stderr)
+            print_line(f"  {error}", file=sys.stderr)

@@ -65,7 +65,7 @@ def demo(
     heading = ["waves RMS", "truth", "error", "expected", "worst mode's error/std."]
     console.table([heading, *comparison.wavefront_rows()])
     console.say(f"report: {comparison.report}")
-    console.say(next_steps(folder))
+    console.say_lines(next_steps(folder))
     console.answer(comparison.as_json())
 
 

@@ -11,7 +11,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext, supp
 from dataclasses import dataclass
 from typing import Literal, Protocol, TextIO, runtime_checkable
 
-from labkit.errors import DeviceError, DeviceTimeoutError
+from labkit.errors import DeviceError, DeviceTimeoutError, printable
 
 QUESTION_S = 3600.0
 """A question is given up after an hour; the capture then tries again."""
@@ -130,7 +130,7 @@ class Operator:
         terminal = _terminal()
         if terminal is not None:
             forget_typed(terminal)
-            print(f"{prompt}:", file=sys.stderr, flush=True)
+            print(f"{printable(prompt)}:", file=sys.stderr, flush=True)
         while time.monotonic() < deadline:
             typed = _line(terminal) if terminal is not None else None
             for page in set(self._pages):
@@ -140,10 +140,8 @@ class Operator:
                     self._changed.wait(TERMINAL_POLL_S)
                 if self._answer is not None:
                     if terminal is not None:
-                        print(
-                            f"answered on the operator's page: {self._answer or 'done'}",
-                            file=sys.stderr,
-                        )
+                        words = printable(self._answer or "done")
+                        print(f"answered on the operator's page: {words}", file=sys.stderr)
                     return self._answer
             if typed:
                 return typed

@@ -12,6 +12,7 @@ import tifffile
 from labkit.apart import run_apart
 from labkit.errors import InputError, RawError, shown
 from labkit.photographs.exif import read_exif
+from labkit.photographs.metadata import refuse_impossible
 from labkit.photographs.picture_file import JPEG, check_strips, format_of
 from labkit.reading import opened_photograph
 
@@ -42,6 +43,9 @@ class Container:
     camera: str = ""
     exposure_s: float | None = None
     iso: int | None = None
+
+    def __post_init__(self) -> None:
+        refuse_impossible((self.camera,), (self.exposure_s, self.iso))
 
 
 def recognise(path: Path) -> Container:

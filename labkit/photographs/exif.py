@@ -15,6 +15,7 @@ from PIL.ExifTags import IFD, Base
 
 from labkit.apart import run_apart
 from labkit.errors import InputError
+from labkit.photographs.metadata import LONGEST_STATEMENT, refuse_impossible
 from labkit.photographs.picture_file import JPEG, PNG, TIFF, png_chunks, read_header
 from labkit.reading import opened_photograph
 
@@ -46,6 +47,14 @@ class Exif:
     size_px: tuple[int, int] | None = None
     taken: str = ""
 
+    def __post_init__(self) -> None:
+        words = (self.camera, self.camera_serial, self.lens, self.lens_serial, self.taken)
+        lengths = (self.focal_length_mm, self.focal_length_35mm, self.pixel_pitch_um)
+        refuse_impossible(
+            words,
+            (*lengths, self.f_number, self.exposure_s, self.iso, *(self.size_px or ())),
+        )
+
 
 def read_exif(path: Path) -> Exif:
     """Read the EXIF of a JPEG, TIFF, PNG or raw file; damaged tags count as not stated.
@@ -75,11 +84,11 @@ def _read_exif(path: Path) -> Exif:
 
 def of_tags(tags: Mapping[int, Any]) -> Exif:
     """Return the statements of EXIF tags, by number."""
-    unit = UNIT_UM.get(_whole(tags.get(Base.FocalPlaneResolutionUnit)) or 2)
-    resolution = _positive(tags.get(Base.FocalPlaneXResolution))
+    unit = UNIT_UM.get(whole_number(tags.get(Base.FocalPlaneResolutionUnit)) or 2)
+    resolution = positive_number(tags.get(Base.FocalPlaneXResolution))
     rows, cols = (
-        _whole(tags.get(Base.ExifImageHeight)),
-        _whole(tags.get(Base.ExifImageWidth)),
+        whole_number(tags.get(Base.ExifImageHeight)),
+        whole_number(tags.get(Base.ExifImageWidth)),
     )
     return Exif(
         camera=_joined(tags, Base.Make, Base.Model)
@@ -87,11 +96,11 @@ def of_tags(tags: Mapping[int, Any]) -> Exif:
         camera_serial=_text(tags.get(Base.BodySerialNumber)),
         lens=_joined(tags, Base.LensMake, Base.LensModel),
         lens_serial=_text(tags.get(Base.LensSerialNumber)),
-        focal_length_mm=_positive(tags.get(Base.FocalLength)),
-        focal_length_35mm=_positive(tags.get(Base.FocalLengthIn35mmFilm)),
-        f_number=_positive(tags.get(Base.FNumber)),
-        exposure_s=_positive(tags.get(Base.ExposureTime)),
-        iso=_whole(tags.get(Base.ISOSpeedRatings)),
+        focal_length_mm=positive_number(tags.get(Base.FocalLength)),
+        focal_length_35mm=positive_number(tags.get(Base.FocalLengthIn35mmFilm)),
+        f_number=positive_number(tags.get(Base.FNumber)),
+        exposure_s=positive_number(tags.get(Base.ExposureTime)),
+        iso=whole_number(tags.get(Base.ISOSpeedRatings)),
         pixel_pitch_um=unit / resolution if unit and resolution else None,
         size_px=(rows, cols) if rows and cols else None,
         taken=_text(tags.get(Base.DateTimeOriginal) or tags.get(Base.DateTime)),
@@ -126,14 +135,15 @@ def _of_raw(path: Path) -> Exif:
             return Exif()
     return Exif(
         lens=_text(lens.model),
-        focal_length_mm=_positive(other.focal_length),
-        f_number=_positive(other.aperture),
-        exposure_s=_positive(other.shutter_speed),
-        iso=_whole(other.iso_speed),
+        focal_length_mm=positive_number(other.focal_length),
+        f_number=positive_number(other.aperture),
+        exposure_s=positive_number(other.shutter_speed),
+        iso=whole_number(other.iso_speed),
     )
 
 
-def _positive(value: Any) -> float | None:
+def positive_number(value: Any) -> float | None:
+    """Return the number in a tag; None for anything but a finite number above 0."""
     try:
         number = float(value)
     except (TypeError, ValueError, ZeroDivisionError):
@@ -141,9 +151,10 @@ def _positive(value: Any) -> float | None:
     return number if math.isfinite(number) and number > 0 else None
 
 
-def _whole(value: Any) -> int | None:
-    number = _positive(value[0] if isinstance(value, tuple) and value else value)
-    return None if number is None else round(number)
+def whole_number(value: Any) -> int | None:
+    """Return the number in a tag, or the first of several, rounded; None as of `positive_number`, and for 0."""
+    number = positive_number(value[0] if isinstance(value, tuple) and value else value)
+    return None if number is None else round(number) or None
 
 
 def _text(value: Any) -> str:
@@ -154,16 +165,12 @@ def _text(value: Any) -> str:
         if isinstance(value, str)
         else ""
     )
-    return " ".join(
-        "".join(letter if letter.isprintable() else " " for letter in text).split()
-    )
+    words = "".join(letter if letter.isprintable() else " " for letter in text).split()
+    return " ".join(words)[:LONGEST_STATEMENT]
 
 
 def _joined(tags: Mapping[int, Any], maker: int, model: int) -> str:
     """Return a maker before a model, unless the model's name begins with the maker's."""
     made, name = _text(tags.get(maker)), _text(tags.get(model))
-    return (
-        name
-        if made and name.lower().startswith(made.split()[0].lower())
-        else f"{made} {name}".strip()
-    )
+    known = made and name.lower().startswith(made.split()[0].lower())
+    return name if known else f"{made} {name}".strip()[:LONGEST_STATEMENT]

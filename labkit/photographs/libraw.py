@@ -13,6 +13,7 @@ import rawpy
 
 from labkit.errors import RawError
 from labkit.photographs.container import Container
+from labkit.photographs.exif import positive_number, whole_number
 from labkit.photographs.photograph import Photograph
 from labkit.plan.sensor import MONO
 from labkit.reading import opened_photograph
@@ -96,6 +97,6 @@ def _decoded(raw: rawpy.RawPy, container: Container) -> Photograph:
         float(raw.white_level),
         pattern,
         container.camera,
-        raw.other.shutter_speed or container.exposure_s,
-        int(raw.other.iso_speed) or container.iso,
+        positive_number(raw.other.shutter_speed) or container.exposure_s,
+        whole_number(raw.other.iso_speed) or container.iso,
     )

@@ -12,12 +12,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labkit.findings import Finding
+from labkit.photographs.metadata import refuse_impossible
 from labkit.photographs.tone_curve import ToneCurve
 from labkit.plan.sensor import IN_COLOURS, MONO, ChannelPixels, channel_pixels, places_of
 from labkit.types import Bools, Counts, Floats
 
 Cut = tuple[slice, slice]
 """Rows and columns of a frame, in pixels."""
+
+MOST_BLACK_LEVELS = 1024
+"""Of a filter array's cell, 32 by 32 pixels."""
 
 WHOLE: Cut = (slice(0, None), slice(0, None))
 
@@ -81,6 +85,27 @@ class Photograph:
     compressed: bool = False
     origin_px: tuple[int, int] = (0, 0)
     whole_px: tuple[int, int] | None = None
+
+    def __post_init__(self) -> None:
+        refuse_impossible((self.camera, *self.pattern), (self.exposure_s, self.iso))
+        wide = {len(row) for row in self.pattern}
+        if len(wide) != 1 or not all(row.isalpha() for row in self.pattern):
+            raise ValueError(
+                f"a filter array {self.pattern}: rows of letters of one length"
+            )
+        if self.counts.ndim != 2 or self.counts.dtype != np.uint16:
+            raise ValueError(
+                f"{self.counts.dtype} counts of shape {self.counts.shape}: rows and columns of 16 bit"
+            )
+        if self.black.ndim != 2 or not 1 <= self.black.size <= MOST_BLACK_LEVELS:
+            raise ValueError(f"black levels of shape {self.black.shape}")
+        if not (np.isfinite(self.black).all() and np.isfinite(self.white)):
+            raise ValueError("black or white levels that are no numbers")
+        ends = zip(self.origin_px, self.shape, self.frame_px, strict=True)
+        if not all(0 <= first <= first + size <= frame for first, size, frame in ends):
+            raise ValueError(
+                f"a cut of {self.shape} pixels at {self.origin_px} in a frame of {self.frame_px}"
+            )
 
     @property
     def shape(self) -> tuple[int, int]:

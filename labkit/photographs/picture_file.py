@@ -156,6 +156,13 @@ class Picture:
     white: int
     coarse_colours: bool = False
 
+    def __post_init__(self) -> None:
+        shape = self.numbers.shape
+        if len(shape) not in (2, 3) or shape[2:] not in ((), (3,)):
+            raise ValueError(f"a picture of shape {shape}: rows, columns and three colours")
+        if not (1 <= self.bits <= 16 and 1 <= self.white < 2**16):
+            raise ValueError(f"numbers of {self.bits} bits up to {self.white}")
+
 
 def format_of(head: bytes) -> Format | None:
     """Return the format of a file that begins with these bytes, four or more; None for any other."""
@@ -182,7 +189,9 @@ def read_picture(
     OSError : the file cannot be read
     InputError : it is damaged, too large or of another kind; the message leaves out the file's name
     """
-    return run_apart(_read_picture, path, most_pixels, processed=processed)
+    picture = run_apart(_read_picture, path, most_pixels, processed=processed)
+    _check_size(picture.numbers.shape, most_pixels)
+    return picture
 
 
 def _read_picture(path: Path, most_pixels: int, *, processed: bool) -> Picture:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar, get_args
 
@@ -13,6 +13,11 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
 Value = TypeVar("Value", str, float)
+
+LONGEST_PATH = 1000
+
+MOST_PROBLEMS = 20
+"""Number of faults that one line names."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,6 +128,16 @@ def problem(words: str) -> PydanticCustomError:
     return PydanticCustomError("problem", "{words}", {"words": words})
 
 
+def joined(problems: Sequence[str], more: int = 0) -> str:
+    """Return problems in one line: `MOST_PROBLEMS` at most, and the number of those left out.
+
+    more: number of problems left out before
+    """
+    left_out = max(len(problems) - MOST_PROBLEMS, 0) + more
+    rest = [f"and {left_out} more problems"] if left_out else []
+    return "; ".join([*problems[:MOST_PROBLEMS], *rest])
+
+
 def repeated(values: Iterable[Value]) -> list[Value]:
     """Return the values that occur more than once."""
     return [value for value, times in Counter(values).items() if times > 1]
@@ -132,7 +147,10 @@ Number = Annotated[float, Strict()]
 Count = Annotated[int, Strict()]
 Corner = tuple[Number, Number]
 Length = Annotated[Number, AfterValidator(Allowed(1e-3, 1e6))]
-Name = Annotated[str, matches(r"[A-Za-z][A-Za-z0-9]*", "a letter, then letters and digits")]
+Name = Annotated[
+    str,
+    matches(r"[A-Za-z][A-Za-z0-9]{0,39}", "a letter, then letters and digits, 40 at most"),
+]
 Line = Annotated[str, matches(r".+", "printable text")]
 Short = Annotated[
     str, matches(r"(?=.*\S).{1,80}", "printable text of 1 to 80 characters on one line")

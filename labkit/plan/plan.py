@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 from labkit.errors import PlanError
 from labkit.plan.channel import Channel
 from labkit.plan.field_tables import FieldSettings, Limits, Mount
-from labkit.plan.fields import Takes, problem, repeated
+from labkit.plan.fields import Takes, joined, problem, repeated
 from labkit.plan.sensor import Sensor
 from labkit.plan.table import Table
 from labkit.plan.tables import (
@@ -153,7 +153,7 @@ class Plan(Table):
             *self._tile_problems(),
         ]
         if problems:
-            raise problem("; ".join(problems))
+            raise problem(joined(problems))
         return self
 
     def _channel_problems(self) -> Iterator[str]:

@@ -18,6 +18,7 @@ from pydantic import (
 
 from labkit.mode_groups import MODE_GROUPS, MOST_NOLL, USUAL_NOLL
 from labkit.plan.fields import (
+    LONGEST_PATH,
     Address,
     Allowed,
     Corner,
@@ -203,6 +204,8 @@ class TargetSpec(Table):
     @classmethod
     def _absolute(cls, file: Path | None, info: ValidationInfo) -> Path | None:
         folder: Path = (info.context or {}).get("folder", Path())
+        if file is not None and len(str(file)) > LONGEST_PATH:
+            raise not_allowed(f"a path of {LONGEST_PATH} characters at most")
         return None if file is None else (folder / file).absolute()
 
     @field_validator("corners_px")

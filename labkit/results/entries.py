@@ -16,8 +16,9 @@ from labkit.results.kept import (
     Entry,
     Finite,
     Kept,
+    KnownEntry,
+    KnownStd,
     Matrix,
-    Millimetres,
     Name,
     PositiveEntry,
     array,
@@ -155,7 +156,9 @@ class LensEntry(Entry):
     )
     f_number: Annotated[Uncertain, uncertain("", PositiveEntry)]
     pupil_magnification: Annotated[Uncertain, uncertain("", PositiveEntry)]
-    range_zero: Millimetres = Field(alias="range_zero_mm")
+    range_zero: Annotated[Uncertain, uncertain("mm", KnownEntry)] = Field(
+        alias="range_zero_mm"
+    )
     wavelengths_nm: dict[Name, Annotated[Uncertain, uncertain("nm", PositiveEntry)]] = (
         Field(default_factory=dict)
     )
@@ -222,7 +225,7 @@ class StatedEntry(Entry):
     """A number known before the session."""
 
     value: Finite
-    std: Finite
+    std: KnownStd
     moves: Annotated[Floats, array(tuple[Finite, ...])]
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from itertools import product
-from typing import Annotated
+from typing import Annotated, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from labkit.optics.field import FieldFrame, FieldModel
 from labkit.optics.rim import ROUND, ROUND_EVERYWHERE, FieldRim, Vignetting
+from labkit.results.agreement import WRITTEN_ROUNDING
 from labkit.results.entries import KeptRim
 from labkit.results.geometry import Distortion, ImageGeometry, LateralColour
 from labkit.results.kept import (
@@ -21,12 +22,14 @@ from labkit.results.kept import (
     Nanometres,
     Noll,
     NumberEntry,
+    PositiveEntry,
     Size,
     StdNumber,
     array,
     table,
     uncertain,
 )
+from labkit.results.model import refuse_no_covariance
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
@@ -47,6 +50,11 @@ class PairEntry(Entry):
     covariance: Annotated[
         Floats, array(tuple[tuple[Finite, Finite], tuple[Finite, Finite]])
     ]
+
+    @model_validator(mode="after")
+    def _checked(self) -> Self:
+        refuse_no_covariance("the covariance of two numbers", self.covariance)
+        return self
 
 
 class DistortionEntry(Entry):
@@ -100,7 +108,9 @@ class FieldEntry(Entry):
     f_number: FNumber
     f_number_std: StdNumber
     wavelengths_nm: Annotated[dict[Name, Nanometres], Field(min_length=1)]
-    lambda_n_um: dict[Name, Annotated[Uncertain, uncertain("um")]] | None = None
+    lambda_n_um: dict[Name, Annotated[Uncertain, uncertain("um", PositiveEntry)]] | None = (
+        None
+    )
     rim: Annotated[FieldRim, table(FieldPupilEntry, FieldRim)] | None = Field(
         default=None, alias="pupil"
     )
@@ -185,6 +195,12 @@ class FieldEntry(Entry):
         if lambda_n and set(lambda_n) != set(channels):
             raise ValueError("field.lambda_n_um is not of every channel")
         waves = np.array([term.waves.value for term in self.terms], float)
+        std = np.array([term.waves.std for term in self.terms], float)
+        refuse_no_covariance("the covariance of field.terms", covariance)
+        if not np.array_equal(covariance.shape, (std.size, std.size)) or not np.allclose(
+            std**2, np.diag(covariance), rtol=WRITTEN_ROUNDING, atol=0
+        ):
+            raise ValueError("field.terms have other standard errors than their covariance")
         return FieldModel(
             FieldFrame(self.photograph_px, pitch_um),
             channels,

@@ -107,7 +107,12 @@ Maybe = Finite | None
 """null stands for a number not finite, or not known."""
 
 Number = Annotated[float, Kept(Maybe, number, null)]
-Std = Annotated[Finite, Field(ge=0)] | None
+Probability = Annotated[
+    float, Kept(Annotated[Finite, Field(ge=0, le=1)] | None, number, null)
+]
+PositiveNumber = Annotated[float, Kept(Annotated[Finite, Field(gt=0)] | None, number, null)]
+KnownStd = Annotated[Finite, Field(ge=0)]
+Std = KnownStd | None
 StdNumber = Annotated[float, Kept(Std, number, null)]
 Waves = Annotated[Finite, Field(ge=-MOST_KEPT_WAVES, le=MOST_KEPT_WAVES)]
 Nanometres = Annotated[Finite, Field(ge=10, le=100_000)]
@@ -143,6 +148,12 @@ class NumberEntry(Entry):
 
     value: Maybe
     std: Std
+
+
+class KnownEntry(NumberEntry):
+    """A number that every use needs."""
+
+    value: Finite
 
 
 class PositiveEntry(NumberEntry):

@@ -210,6 +210,10 @@ class Wavefront:
         refuse_no_covariance(f"the covariance of {self.key.label}", self.covariance)
         if self.poses.ndim != 2 or not len(self.poses):
             raise ValueError(f"{self.key.label} has poses of shape {self.poses.shape}")
+        if self.residuals is not None and len(self.residuals.data) != len(self.poses):
+            raise ValueError(
+                f"{self.key.label} has residuals of {len(self.residuals.data)} photographs and {len(self.poses)} poses"
+            )
 
     def __getitem__(self, mode: int) -> Uncertain:
         """The coefficient of a Noll mode, waves RMS. Raises KeyError for a mode not estimated."""
@@ -389,20 +393,29 @@ class Focus:
 
 def refuse_no_covariance(name: str, matrix: Floats) -> None:
     """Raise ValueError for a matrix (n, n) that is not symmetric, or has a variance below 0; nan stands for unknown."""
-    if matrix.shape != matrix.T.shape or not np.isfinite(matrix).all():
-        return
+    if matrix.ndim != 2 or matrix.shape != matrix.T.shape:
+        raise ValueError(f"{name} has shape {matrix.shape}; it is square")
+    variances = np.diag(matrix)
+    known = np.isfinite(variances)
+    matrix = matrix[np.ix_(known, known)]
+    if not np.isfinite(matrix).all():
+        raise ValueError(f"{name} has an unknown number between known variances")
     scale = np.sqrt(np.abs(np.diag(matrix)))
-    scales = np.outer(scale, scale)
     with np.errstate(over="ignore"):
-        scaled = matrix / np.where(scales > 0, scales, 1.0)
+        # one after the other: the product of two small scales may be 0
+        positive = np.where(scale > 0, scale, 1.0)
+        scaled = matrix / positive / positive[:, np.newaxis]
     if not np.isfinite(scaled).all():
         raise ValueError(f"{name} has a variance below 0")
     if not np.allclose(scaled, scaled.T, rtol=0, atol=CORRELATION_ROUNDING):
         raise ValueError(f"{name} is not symmetric")
-    if matrix.size and np.linalg.eigvalsh(scaled).min() < -CORRELATION_ROUNDING * len(
-        matrix
-    ):
-        raise ValueError(f"{name} has a variance below 0")
+    try:
+        # it exists where no eigenvalue is below the rounding's, and takes a tenth of the time of eigenvalues
+        np.linalg.cholesky(
+            scaled + CORRELATION_ROUNDING * len(scaled) * np.eye(len(scaled))
+        )
+    except np.linalg.LinAlgError:
+        raise ValueError(f"{name} has a variance below 0") from None
 
 
 FOCAL_LENGTH_MM = "focal_length_mm"

@@ -21,6 +21,7 @@ from labkit.key import Key
 from labkit.optics.rim import ROUND
 from labkit.optics.spectrum import Spectrum
 from labkit.plan import Plan
+from labkit.results.agreement import refuse_disagreement
 from labkit.results.entries import Common, KeptRim, LensEntry, RecordOfInputs
 from labkit.results.field_entry import FieldEntry
 from labkit.results.kept import (
@@ -29,6 +30,7 @@ from labkit.results.kept import (
     Finite,
     FNumber,
     Kept,
+    KnownStd,
     Matrix,
     Maybe,
     Millimetres,
@@ -39,7 +41,10 @@ from labkit.results.kept import (
     NumberEntry,
     Place,
     Pose,
+    PositiveEntry,
+    PositiveNumber,
     Powers,
+    Probability,
     Range,
     Size,
     Std,
@@ -127,7 +132,7 @@ class TestEntry(Entry):
     """The test of the optimum."""
 
     name: Text = ""
-    p_value: Number = nan
+    p_value: Probability = nan
     accepted: bool
     undetermined: tuple[Text, ...] = ()
     starts: int | None = None
@@ -162,7 +167,7 @@ class ModelEntry(Entry):
     """Verdict on the model: whether it explains the data."""
 
     accepted: bool
-    p_value: Number = nan
+    p_value: Probability = nan
     missing: tuple[Name, ...] = ()
     residual_spectrum: (
         Annotated[
@@ -191,10 +196,10 @@ class WavefrontEntry(Entry):
     ) = None
     rim: KeptRim | None = Field(default=None, alias="pupil")
     f_number: FNumber | None = None
-    working_f_number: Annotated[Uncertain, uncertain()] | None = Field(
+    working_f_number: Annotated[Uncertain, uncertain("", PositiveEntry)] | None = Field(
         default=None, alias="f_number_working"
     )
-    lambda_n: Annotated[Uncertain, uncertain("um")] | None = Field(
+    lambda_n: Annotated[Uncertain, uncertain("um", PositiveEntry)] | None = Field(
         default=None, alias="lambda_n_um"
     )
     blur: Annotated[Uncertain, uncertain("um")] | None = Field(
@@ -211,9 +216,9 @@ class WavefrontEntry(Entry):
     poses: (
         Annotated[Floats, array(Annotated[tuple[Pose, ...], Field(min_length=1)])] | None
     ) = None
-    gain: Number = nan
-    read_noise: Number = nan
-    chi2_per_pixel: Number = nan
+    gain: PositiveNumber = nan
+    read_noise: StdNumber = nan
+    chi2_per_pixel: StdNumber = nan
     test: Annotated[OptimumTest, table(TestEntry, OptimumTest)] | None = Field(
         default=None, alias="global_test"
     )
@@ -379,7 +384,7 @@ class LightEntry(Entry):
 
     light: Text = Field(alias="name")
     filters: Text
-    mean: Annotated[Uncertain, uncertain()] = Field(alias="mean_nm")
+    mean: Annotated[Uncertain, uncertain("", PositiveEntry)] = Field(alias="mean_nm")
     width: Annotated[Uncertain, uncertain()] = Field(alias="width_nm")
 
 
@@ -392,12 +397,12 @@ class Content(Entry):
     plan_sha256: Text
     plan: Any = None
     convention: Any = None
-    reference_wavelength_nm: Any = None
+    reference_wavelength_nm: Nanometres | None = None
     wavefronts: tuple[WavefrontEntry, ...]
     focus: Annotated[Focus, Kept(FocusEntry, _focus, _focus_entry)] | None
     lens: LensEntry | None = None
     field: FieldEntry | None = None
-    budget: dict[Name, dict[Name, Finite]] = Field(default_factory=dict)
+    budget: dict[Name, dict[Name, KnownStd]] = Field(default_factory=dict)
     joint: dict[Name, Finite] = Field(default_factory=dict)
     model_parts: dict[Name, Annotated[Uncertain, uncertain()]] = Field(default_factory=dict)
     parts_tried: tuple[Annotated[PartTried, table(PartTriedEntry, PartTried)], ...] = ()
@@ -441,6 +446,7 @@ class Content(Entry):
 
     def fields(self, plan: Plan) -> dict[str, Any]:
         """Return the fields of results, but for their plan, folder and residuals. Raises ValueError."""
+        refuse_disagreement(self, plan)
         same = (
             *("plan_sha256", "focus", "budget", "joint", "parts_tried", "widest_light_nm"),
             *("common", "unanswered", "created", "labkit_version", "made_from"),

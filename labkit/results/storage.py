@@ -239,7 +239,7 @@ def _field(content: Content, plan: Plan, path: Path) -> FieldModel | None:
             read_bytes(path, MOST_FIELD_BYTES), {COVARIANCE: most_bytes}.get
         )
         return entry.model(
-            np.array(arrays[COVARIANCE], float),
+            np.asarray(arrays[COVARIANCE], float),
             plan.sensor.pixel_pitch_um,
             plan.reference_wavelength_nm,
         )

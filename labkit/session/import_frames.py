@@ -25,8 +25,9 @@ from labkit.photographs.decoding import read_photograph
 from labkit.photographs.exposure import difference, exposure_problem
 from labkit.photographs.photograph import WHOLE, Cut, Photograph
 from labkit.plan import Plan
+from labkit.plan.fields import LONGEST_PATH, joined
 from labkit.plan.sensor import MONO
-from labkit.plan.text import MOST_PROBLEMS, plain_number
+from labkit.plan.text import plain_number
 from labkit.reading import read_text
 from labkit.session.making import made_beside, refuse_existing
 from labkit.session.session import Session
@@ -38,10 +39,8 @@ from labkit.types import FRAME_KINDS, FrameKind, Progress, no_progress
 COLUMNS = ("file", "kind", "range_mm")
 
 
-MOST_CSV_BYTES = 2**24
-"""Of a list: 100,000 photographs."""
-
-LONGEST_PATH = 1000
+MOST_LINES, MOST_COLUMNS, LONGEST_LIST = 20_000, 200, 2**22
+"""Limits of a list: each photograph is decoded, so that a list in use has some hundred lines."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,11 +134,12 @@ def import_frames(
 def read_rows(csv_path: Path, plan: Plan) -> list[Row]:
     """Return the rows of a CSV, checked against the plan. Raises DataError with all faults in one line."""
     header, lines = _read_cells(csv_path)
+    folder = csv_path.parent.resolve()
     rows = list[Row]()
     problems = list[tuple[str, str]]()
     for line, cells in lines:
         try:
-            rows.append(_row(csv_path.parent, line, header, cells, plan))
+            rows.append(_row(folder, line, header, cells, plan))
         except InputError as error:
             problems.append((f"line {line}: {error}", QUOTED.sub("", str(error))))
     first_line: dict[Path, int] = {}
@@ -167,12 +167,7 @@ def _photon_transfer(rows: Sequence[Row]) -> bool:
 def _refuse(csv_path: Path, problems: list[str]) -> None:
     """Raise DataError with all faults in one line; do nothing without faults."""
     if problems:
-        more = (
-            [f"and {len(problems) - MOST_PROBLEMS} more problems"]
-            if len(problems) > MOST_PROBLEMS
-            else []
-        )
-        raise DataError(f"{csv_path}: {'; '.join(problems[:MOST_PROBLEMS] + more)}")
+        raise DataError(f"{csv_path}: {joined(problems)}")
 
 
 def _read_cells(csv_path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
@@ -181,20 +176,30 @@ def _read_cells(csv_path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]
     Cells are separated by commas, or else by semicolons.
     """
     try:
-        text = read_text(csv_path, MOST_CSV_BYTES, follow_link=True)
+        text = read_text(csv_path, 4 * LONGEST_LIST, follow_link=True)
     except OSError as error:
         raise DataError(f"{csv_path}: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise DataError(f"{csv_path}: not UTF-8 at byte {error.start}") from error
+    if len(text) > LONGEST_LIST:
+        raise DataError(_too_long(csv_path, f"{LONGEST_LIST} characters"))
     first = text.partition("\n")[0]
     reader = csv.reader(
         io.StringIO(text, newline=""),
         delimiter=";" if "," not in first else ",",
         strict=True,
     )
+    lines: list[tuple[int, list[str]]] = []
     try:
         header = [name.strip() for name in next(reader, [])]
-        lines = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader]
+        if len(header) > MOST_COLUMNS:
+            raise DataError(
+                f"{csv_path}: the header has {len(header)} columns; allowed are {MOST_COLUMNS}"
+            )
+        for cells in reader:
+            if reader.line_num > MOST_LINES:
+                raise DataError(_too_long(csv_path, f"{MOST_LINES} lines"))
+            lines.append((reader.line_num, [cell.strip() for cell in cells]))
     except csv.Error as error:
         raise DataError(f"{csv_path}: line {reader.line_num}: not CSV: {error}") from error
     if missing := [name for name in COLUMNS if name not in header]:
@@ -205,6 +210,10 @@ def _read_cells(csv_path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]
             f"{csv_path}: a column stands twice in the header: {shown(twice[0])}"
         )
     return header, [(line, cells) for line, cells in lines if any(cells)]
+
+
+def _too_long(csv_path: Path, limit: str) -> str:
+    return f"{csv_path}: has more than {limit}; make several lists and sessions of it"
 
 
 def _row(folder: Path, line: int, header: list[str], cells: list[str], plan: Plan) -> Row:
@@ -227,7 +236,7 @@ def _row(folder: Path, line: int, header: list[str], cells: list[str], plan: Pla
 
 
 def _inside(folder: Path, file: str) -> Path:
-    """Return the real path of a file that must be in the folder, links followed."""
+    """Return the real path of a file that must be in the folder, whose path is real; links are followed."""
     if not file:
         raise DataError("file is empty")
     if len(file) > LONGEST_PATH:
@@ -238,9 +247,9 @@ def _inside(folder: Path, file: str) -> Path:
         path = (folder / file).resolve()
     except (OSError, RuntimeError, ValueError) as error:
         raise DataError(f"file {shown(file)} is no usable path ({error})") from error
-    if not path.is_relative_to(folder.resolve()):
+    if not path.is_relative_to(folder):
         raise DataError(
-            f"file {shown(file)} lies outside the CSV's folder; move it into {folder.resolve()}"
+            f"file {shown(file)} lies outside the CSV's folder; move it into {folder}"
         )
     return path
 

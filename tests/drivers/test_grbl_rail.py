@@ -143,6 +143,18 @@ def test_reports_of_work_positions_are_counted_from_the_machines_zero() -> None:
         ({22: 0, 20: 0}, r"homing turned off \(\$22=0\).* set \$22=1"),
         ({13: 1}, r"inches \(\$13=1\); set \$13=0"),
         ({130: 3}, r"no room to move: travel \$130 = 3 mm"),
+        ({130: 0}, r"its travel in mm \$130=0; allowed is above 0, .*: set \$130"),
+        ({130: -300}, r"its travel in mm \$130=-300; .*: set \$130"),
+        ({130: 2147483.648}, r"its travel in mm \$130=2.14748e\+06; .*: set \$130"),
+        ({110: 0}, r"its largest speed in mm/min \$110=0; .*: set \$110"),
+        ({110: -500}, r"its largest speed in mm/min \$110=-500; .*: set \$110"),
+        ({25: 0}, r"searches for its limit switch \$25=0; .*: set \$25"),
+        ({24: 0}, r"approaches its limit switch \$24=0; .*: set \$24"),
+        ({27: 0}, r"backs off its limit switch in mm \$27=0; .*: set \$27"),
+        ({120: 0}, r"its acceleration in mm/s² \$120=0; .*: set \$120"),
+        ({100: 0}, r"its steps per mm \$100=0; .*: set \$100"),
+        ({110: float("nan")}, r"no number as its setting \$110; set \$110 again"),
+        ({25: float("inf")}, r"no number as its setting \$25; set \$25 again"),
     ],
 )
 def test_settings_that_no_rail_can_be_driven_with_are_refused(

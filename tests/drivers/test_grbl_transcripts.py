@@ -19,9 +19,9 @@ import pytest
 from labkit.drivers.grbl.protocol import (
     HOMING_SETTING,
     REPORTS,
-    SETTING,
     doubts,
     read_report,
+    read_settings,
     unfit,
 )
 from labkit.drivers.simulated.controllers.grbl_controller import GrblController
@@ -203,8 +203,7 @@ def test_what_labkit_says_of_settings_is_true_of_those_that_were_recorded(
         event.text.decode("latin-1")
         for event in events((TRANSCRIPTS / f"{name}.txt").read_text())
     ]
-    found = [SETTING.fullmatch(line) for line in lines[: lines.index("$132=200.000") + 1]]
-    settings = {int(each[1]): float(each[2]) for each in found if each}
+    settings = read_settings(lines[: lines.index("$132=200.000") + 1])
     is_hal = name == "grblhal"
     assert settings[REPORTS] == reports
     assert "$22=0" in str(unfit(settings, is_hal))

@@ -291,3 +291,26 @@ def test_a_simulated_stage_carries_the_simulated_benchs_camera() -> None:
         assert rail.move_to(30.0) == pytest.approx(30.0, abs=0.001)
         # the bench's own scatter has a standard deviation of 0.02 mm
         assert bench.position_mm == pytest.approx(30.0, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("setting", "told", "words"),
+    [
+        ("maxspeed", "0", "has maxspeed = 0; allowed is above 0: set maxspeed"),
+        ("maxspeed", "-5", "has maxspeed = -5"),
+        ("maxspeed", "nan", "has maxspeed = nan"),
+        ("limit.max", "NA", "reports limit.max = 'NA', which is no number"),
+        ("limit.max", "nan", "leave no room to move"),
+    ],
+)
+def test_settings_that_make_no_sense_are_named_in_one_line(
+    monkeypatch: pytest.MonkeyPatch, setting: str, told: str, words: str
+) -> None:
+    plain = ZaberController._get
+
+    def get(self: ZaberController, axis: int, name: str) -> str | None:
+        return told if name == setting else plain(self, axis, name)
+
+    monkeypatch.setattr(ZaberController, "_get", get)
+    with a_port() as port, pytest.raises(RailError, match=words):
+        a_rail(port)

@@ -2,27 +2,43 @@
 
 from __future__ import annotations
 
+import ctypes
+import json
 import os
 import select
 import signal
+import socket
 import struct
+import subprocess
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from labkit import apart
-from labkit.apart import run_apart
+from labkit.apart import LENGTH, run_apart
+from labkit.confinement import ASK_VERSION, CREATE_RULESET, FIRST_WITH_NETWORK
 from labkit.errors import InputError, RawError
 from labkit.photographs.decoding import read_photograph
+from labkit.photographs.exif import Exif
+from labkit.photographs.photograph import Photograph
 from labkit.plan import Sensor
 from labkit.types import Floats
 
 FILE = Path(__file__)
+
+
+def landlock() -> bool:
+    """Return whether the kernel has Landlock with rules for networks."""
+    if not sys.platform.startswith("linux"):
+        return False
+    asked = ctypes.CDLL(None).syscall(CREATE_RULESET, None, ctypes.c_size_t(0), ASK_VERSION)
+    return int(asked) >= FIRST_WITH_NETWORK
 
 
 @dataclass(frozen=True)
@@ -173,3 +189,114 @@ def test_relative_paths_start_from_the_folder_that_one_is_in(
         (folder / "file").write_bytes(b"x" * size)
         monkeypatch.chdir(folder)
         assert run_apart(size_of, Path("file")) == size
+
+
+def writing(path: Path) -> int:
+    return path.with_name("written by a decoder").write_bytes(b"x")
+
+
+def removing(path: Path) -> int:
+    path.unlink()
+    return 0
+
+
+def connecting(path: Path) -> int:
+    socket.create_connection(("127.0.0.1", int(path.read_text())), 1).close()
+    return 0
+
+
+def sending(path: Path) -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as datagrams:
+        return datagrams.sendto(b"x", ("127.0.0.1", int(path.read_text())))
+
+
+def starting(path: Path) -> int:
+    return subprocess.run(["/bin/true"], check=True).returncode
+
+
+@pytest.mark.skipif(not landlock(), reason="the kernel has no Landlock")
+@pytest.mark.parametrize(
+    "function", [writing, removing, connecting, sending, starting], ids=lambda f: f.__name__
+)
+def test_a_decoder_that_was_taken_over_reaches_neither_files_nor_network_nor_programs(
+    function: Callable[[Path], int], tmp_path: Path
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        file = tmp_path / "picture"
+        file.write_text(str(server.getsockname()[1]))
+        with pytest.raises(OSError, match=r"denied|unreachable"):
+            run_apart(function, file)
+    assert [path.name for path in tmp_path.iterdir()] == ["picture"]
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        {},
+        {"tree": 1},
+        {"tree": 1, "arrays": [["0", "<f8", [-1, 2]]]},
+        {"tree": 1, "arrays": [["0", "<f8", [2**40, 2**40]]]},
+        {
+            "tree": 1,
+            "arrays": [["0", "<f8", [2**28]], ["1", "<f8", [2**28]], ["2", "<f8", [9]]],
+        },
+        {"tree": 1, "arrays": [["0", "<f8", ["a"]]]},
+        {"tree": 1, "arrays": [["0", "|O8", [1]]]},
+        {"tree": 1, "arrays": [["0"]]},
+        {"tree": 1, "arrays": 5},
+        {"failed": "OSError", "arrays": []},
+        {"failed": "OSError", "text": "x", "errno": "y", "arrays": []},
+        {"failed": {}, "text": ["\x1b" * 10**4], "arrays": []},
+        {"tree": [[1]], "arrays": []},
+    ],
+    ids=lambda answer: json.dumps(answer)[:40],
+)
+def test_an_answer_that_no_decoder_gives_is_a_damaged_file(
+    answer: dict[str, object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    head = json.dumps(answer).encode()
+    whole = LENGTH.pack(len(head)) + head
+    code = f"import os; os.write(1, {whole!r}); input()"
+    monkeypatch.setattr(apart, "WORKER_CODE", code.replace("{", "{{").replace("}", "}}"))
+    apart._end()
+    try:
+        with pytest.raises(InputError) as caught:
+            run_apart(made, FILE)
+        assert len(str(caught.value)) < 50_000
+    finally:
+        apart._end()
+
+
+GOOD = Photograph(
+    np.zeros((4, 6), np.uint16), np.full((2, 2), 9.0), 4095.0, ("RG", "GB"), "Z 8", 0.1, 100
+)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"counts": np.zeros(24, np.uint16)},
+        {"counts": np.zeros((4, 6), np.uint64)},
+        {"black": np.zeros(4)},
+        {"black": np.full((2, 2), np.nan)},
+        {"white": np.inf},
+        {"pattern": ("RG", "B")},
+        {"pattern": ("R\x1b", "GB")},
+        {"pattern": ()},
+        {"camera": "\x1b[2J"},
+        {"camera": "Z" * 201},
+        {"exposure_s": -1.0},
+        {"exposure_s": np.nan},
+        {"iso": 0},
+        {"origin_px": (2, 0)},
+        {"origin_px": (-2, 0), "whole_px": (9, 9)},
+        {"whole_px": (2, 2)},
+    ],
+    ids=str,
+)
+def test_a_photograph_that_cannot_be_is_none(changed: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=r"allowed|rows|cut|levels"):
+        replace(GOOD, **changed)
+    for names in ({"lens": "\u202egnp"}, {"f_number": np.inf}, {"size_px": (0, 9)}):
+        with pytest.raises(ValueError, match="allowed"):
+            Exif(**names)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import sqlite3
 import subprocess
 import sys
@@ -370,3 +371,54 @@ def test_pictures_are_written_on_request(
 def test_one_session_is_nothing_to_compare(folder: Path) -> None:
     with pytest.raises(DataError, match="give two sessions or more to compare"):
         compare_sessions(folder / "night-1")
+
+
+@pytest.mark.parametrize(
+    ("where", "value"),
+    [
+        ("covariance", [[1e-6, 5e-7, 0], [0, 1e-6, 0], [0, 0, 1e-6]]),
+        ("lambda_n_um", {"value": 0.0, "std": 0.1}),
+        ("std", [0.1]),
+        ("noll", [4]),
+        ("waves_rms", [1e300] * 3),
+        ("poses", []),
+    ],
+)
+def test_a_bad_session_does_not_stop_the_others(
+    folder: Path, capsys: pytest.CaptureFixture[str], where: str, value: Any
+) -> None:
+    a_session(folder, "night-3")
+    edit(folder / "night-2", lambda held: held["wavefronts"][0].update({where: value}))
+    three = [str(folder / f"night-{k}") for k in (1, 2, 3)]
+    for command in (
+        ["list"],
+        ["history", "--lens", "Apo", str(folder)],
+        ["compare", *three],
+    ):
+        words = command if len(command) > 1 else [*command, str(folder)]
+        assert run(words) == 0, command
+        printed = capsys.readouterr()
+        assert re.search("night-2.* left out: .*results.json is not as", printed.err)
+        assert printed.err.count("night-2") == 2  # its name, and the path of its file
+        assert "night-1" in printed.out
+        assert "night-3" in printed.out
+        assert "night-2" not in printed.out
+    assert run(["compare", *three[:2]]) == 2
+    assert "results.json is not as" in capsys.readouterr().err
+
+
+def test_numbers_that_break_arithmetic_are_a_sessions_own_problem(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def divide(session: Session, exif: Exif) -> str:
+        return str(1 / (session.folder.name != "night-1"))
+
+    monkeypatch.setattr(entry_module, "_taken", divide)
+    first, second = list_sessions(folder).entries
+    assert first.problem.endswith("ZeroDivisionError: division by zero")
+    assert second.problem == ""
+
+
+def test_a_session_is_compared_with_itself(folder: Path) -> None:
+    (pair,) = compare_sessions(folder / "night-1", folder / "night-1")
+    assert pair.chi2 == 0

@@ -59,6 +59,23 @@ def test_channels_are_those_of_the_session(tmp_path: Path) -> None:
     assert completed("labkit fit --channel ", tmp_path) == {"R", "G", "B"}
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        670 * ("a." * 63 + f'"{"x" * 257}".') + "a=1",
+        2**19 * "#" + '\n[[channel]]\nname = "Z"',
+        '[[channel]]\nname = "R"\n[[channel]]\nname = "\\u001b[31mG"',
+    ],
+    ids=["slow", "long", "control characters"],
+)
+def test_a_strangers_plan_completes_at_once_and_prints_no_control_character(
+    tmp_path: Path, text: str
+) -> None:
+    (tmp_path / "night").mkdir()
+    (tmp_path / "night" / "plan.toml").write_text(text)
+    assert completed("labkit fit night --channel ", tmp_path) <= {"R", "G", "B"}
+
+
 def test_panels_complete(tmp_path: Path) -> None:
     assert completed("labkit target serve x --panel ipad-p", tmp_path) == {
         n for n in PANELS if n.startswith("ipad-p")

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import ast
+import json
 import re
 import threading
+from pathlib import Path
 
 import pytest
 
@@ -106,3 +109,54 @@ def test_a_pause_does_not_count_as_work(monkeypatch: pytest.MonkeyPatch) -> None
     assert work.times() == "17 min so far"
     work.report(1, 3, "b")
     assert work.times() == "17 min so far, about 20 s left"
+
+
+ODD = "a\x1b[31m\x9b2J\r\n\u202egnp.\u2066\udcff\x7f"
+ESCAPED = r"a\x1b[31m\x9b2J\r\n\u202egnp.\u2066\udcff\x7f"
+
+
+def test_whatever_is_printed_is_printable(capsys: pytest.CaptureFixture[str]) -> None:
+    console = Console()
+    console.say(ODD)
+    console.table([["session"], [ODD]])
+    console.warn(ODD)
+    console.link("page", ODD)
+    console_module.error_line(OSError(ODD.replace("\r\n", "")))
+    printed = capsys.readouterr()
+    assert printed.out.splitlines() == [ESCAPED, "session", ESCAPED]
+    assert printed.err.splitlines() == [
+        f"labkit: warning: {ESCAPED}",
+        f"page: {ESCAPED}",
+        f"labkit: {ESCAPED}".replace(r"\r\n", ""),
+    ]
+
+
+def test_columns_are_as_wide_as_what_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    Console().table([["session", "lens"], ["\x1b", "+"], ["a long name", "-"]])
+    first, second, third = capsys.readouterr().out.splitlines()
+    assert first.index("lens") == second.index("+") == third.index("-")
+
+
+def test_json_is_printable_and_reads_back_the_same(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    Console(json=True).answer({ODD: [ODD, "ß", "\U0001f600", "\U000e0001"]})
+    printed = capsys.readouterr().out
+    assert all(line.isprintable() for line in printed.splitlines())
+    assert json.loads(printed) == {ODD: [ODD, "ß", "\U0001f600", "\U000e0001"]}
+
+
+def test_only_the_console_prints() -> None:
+    """Names of folders and texts of files are made printable in one place."""
+    labkit = Path(console_module.__file__).parents[1]
+    printing = {
+        str(path.relative_to(labkit))
+        for path in labkit.rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "print"
+    }
+    assert printing == {
+        "cli/__init__.py",  # one constant line
+        "cli/console.py",
+        "devices/operator.py",  # drivers know no command line
+    }

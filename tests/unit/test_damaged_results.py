@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import json
 import random
 import re
+import struct
+import tracemalloc
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -45,6 +49,52 @@ def test_residuals_larger_than_the_photographs_are_not_unpacked(tmp_path: Path) 
         Results.load(file.parent)
 
 
+def test_the_arrays_of_a_file_have_one_limit_together_whatever_results_json_states(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A file of 4 MB took 8.3 GB: the limit of each array came from results.json, and there was none for all."""
+    file = written(tmp_path) / "residuals.npz"
+    changed(file.parent / "results.json", "wavefronts.0.shape_px", [2**12, 2**12])
+    array = np.zeros((2, 1, 2**8, 2**12), np.float32)
+    names = [f"{part}_3000_R" for part in ("data", "model", "sigma")]
+    file.write_bytes(npz.packed(dict.fromkeys(names, array)))
+    monkeypatch.setattr(npz, "MOST_BYTES", 2 * array.nbytes + 1)
+    tracemalloc.start()
+    with pytest.raises(DataError, match="its arrays take more than 16777217 bytes"):
+        Results.load(file.parent)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 3.5 * array.nbytes  # two arrays, one of which grew
+
+
+def test_a_header_that_states_another_size_than_the_array_has_is_refused(
+    tmp_path: Path,
+) -> None:
+    file = written(tmp_path) / "residuals.npz"
+    for stated, kept in ((40, 4_000_000), (1440, 10), (10**9, 10)):
+        buffer = io.BytesIO()
+        np.lib.format.write_array(buffer, np.zeros(kept))
+        header = buffer.getvalue().replace(b"(%d,)" % kept, b"(%d,)" % stated)
+        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+            archive.writestr("data_3000_R.npy", header)
+        with pytest.raises(DataError, match=r"is not whole|takes more than 11520 bytes"):
+            Results.load(file.parent)
+
+
+def test_a_file_of_a_million_arrays_is_refused_at_once(tmp_path: Path) -> None:
+    one = io.BytesIO()
+    with zipfile.ZipFile(one, "w") as archive:
+        archive.writestr("a.npy", b"")
+    content = one.getvalue()
+    local, rest = content.split(b"PK\1\2")
+    entry = b"PK\1\2" + rest.split(b"PK\5\6")[0]
+    end = struct.pack(
+        "<4s4H2LH", b"PK\5\6", 0, 0, 65535, 65535, 10**6 * len(entry), len(local), 0
+    )
+    with pytest.raises(ValueError, match="its list of arrays cannot be read"):
+        npz.unpacked(local + 10**6 * entry + end, lambda _: 10)
+
+
 @pytest.mark.parametrize(
     "array", [np.zeros((24, 30)), np.zeros((2, 1, 0, 30)), np.array(["a"]), np.zeros(3) > 0]
 )
@@ -74,7 +124,7 @@ HUGE, NOT_FINITE = 10**400, float("inf")
         ("wavefronts.0.noll.1", 4, "a mode twice"),
         ("wavefronts.0.waves_rms.0", HUGE, "wavefronts.0.waves_rms.0"),
         ("wavefronts.0.waves_rms.0", None, "valid number"),
-        ("wavefronts.0.waves_rms", [0.1], "1 coefficients"),
+        ("wavefronts.0.waves_rms", [0.1], "1 numbers in waves_rms for 3 modes"),
         ("wavefronts.0.range_mm", float("nan"), "wavefronts.0.range_mm"),
         ("wavefronts.0.range_mm", -1.0, "greater than 0"),
         ("wavefronts.0.wavelength_nm", 1e-300, "wavelength_nm = 1e-300"),
@@ -86,6 +136,31 @@ HUGE, NOT_FINITE = 10**400, float("inf")
         ("wavefronts.0.shape_px", [10**9, 1], "shape_px.0 = 1000000000"),
         ("wavefronts.0.spectrum", [[0.0, 1.0]], "spectrum.0.0"),
         ("wavefronts.0.model.residual_spectrum.power", [], "different lengths"),
+        ("wavefronts.0.std", [0.1], "1 numbers in std for 3 modes"),
+        ("wavefronts.0.std.1", 0.5, "std other than the roots"),
+        ("wavefronts.0.std.1", -0.5, "std.1 = -0.5"),
+        ("wavefronts.0.covariance", [[1e-6]], "covariance of shape (1, 1) for 3 modes"),
+        ("wavefronts.0.covariance.0.1", None, "an unknown number between known"),
+        ("wavefronts.0.pulls", [0.1, 0.2], "2 numbers in pulls for 3 modes"),
+        ("wavefronts.0.global_test.others.0.waves_rms", [], "others.0.waves_rms"),
+        ("wavefronts.0.frames", ["a"] * 3, "3 frames and 2 poses"),
+        ("wavefronts.0.corners_px", [[[0.0, 1.0]] * 4], "1 corners_px and 2 poses"),
+        ("wavefronts.0.key.range_mm", 1000.0, "has the key of R at 1000 mm"),
+        ("wavefronts.0.key.channel", "B", "has the key of B at 3000 mm"),
+        ("wavefronts.0.lambda_n_um.value", 0.0, "lambda_n_um.value = 0.0"),
+        ("wavefronts.0.lambda_n_um.value", None, "lambda_n_um.value"),
+        ("wavefronts.0.lambda_n_um.value", 18.0, "lambda_n_um = 18; its wavelength"),
+        ("wavefronts.0.f_number_working.value", 0.0, "f_number_working.value = 0.0"),
+        ("wavefronts.0.gain", -1.0, "gain = -1.0"),
+        ("wavefronts.0.read_noise", -1.0, "read_noise = -1.0"),
+        ("wavefronts.0.chi2_per_pixel", -1.0, "chi2_per_pixel = -1.0"),
+        ("wavefronts.0.global_test.p_value", 1.5, "p_value = 1.5"),
+        ("reference_wavelength_nm", 600.0, "the plan in it has 450"),
+        ("lens.range_zero_mm.value", None, "range_zero_mm.value"),
+        ("common.stated.f-number.std", -0.1, "stated.f-number.std = -0.1"),
+        ("common.covariance.0.1", 1e9, "is not symmetric"),
+        ("field.sensor_tilt_um_per_mm.covariance.0.1", 9.0, "is not symmetric"),
+        ("budget", {"x": {"y": -1.0}}, "budget.x.y = -1.0"),
         ("focus.covariance", [[1.0]], "has shape"),
         ("focus.best_focus_mm.R.std", -1.0, "greater than or equal to 0"),
         ("lens.f_number.value", 0.0, "greater than 0"),
@@ -104,6 +179,24 @@ def test_a_value_that_cannot_be_is_named(
         Results.load(tmp_path)
     assert "is not as schema 3 has it" in str(caught.value)
     assert len(str(caught.value)) < 600
+
+
+def test_the_covariance_of_a_field_that_is_none_gives_one_line(tmp_path: Path) -> None:
+    folder = tmp_path / "results" / "latest"
+    full_results().write(folder)
+    file = folder / "field.npz"
+    whole = np.load(file)["covariance"]
+    damages: tuple[tuple[Callable[[Any], Any], str], ...] = (
+        (lambda c: c.__setitem__((0, 1), 9.0), "is not symmetric"),
+        (lambda c: c.__setitem__((0, 0), -1.0), "a variance below 0"),
+        (lambda c: c.__imul__(4.0), "other standard errors than their covariance"),
+    )
+    for damage, words in damages:
+        covariance = whole.copy()
+        damage(covariance)
+        file.write_bytes(npz.packed({"covariance": covariance}))
+        with pytest.raises(DataError, match=words):
+            Results.load(tmp_path)
 
 
 def changed(file: Path, where: str, value: Any) -> None:

@@ -419,3 +419,24 @@ def test_flats_and_darks_alone_are_a_photon_transfer_series(tmp_path: Path) -> N
     session = import_frames(csv, plan, tmp_path / "session")
     assert [frame.kind for frame in session.frames] == [f.kind for f in series.frames]
     assert session.frames[0].meta["columns"] == {"exposure_s": "1e-05"}
+
+
+@pytest.mark.parametrize(
+    ("csv", "words"),
+    [
+        ("file,kind,range_mm\n" + 200_000 * "a.dng,target,0\n", "more than 20000 lines"),
+        ("file,kind,range_mm\n" + 200_000 * "\n", "more than 20000 lines"),
+        ("file,kind,range_mm\n" + 5_000_000 * ",", "more than 4194304 characters"),
+        ("file,kind,range_mm" + 1_000_000 * "," + 900_000 * "\na", "has 1000003 columns"),
+        ("file,kind,range_mm\n" + 19_000 * "a.dng,target,0\n", "(and 18999 more lines"),
+    ],
+    ids=lambda value: value[-20:],
+)
+def test_a_list_longer_than_any_is_refused_at_once_in_one_line(
+    folder: Folder, csv: str, words: str
+) -> None:
+    before_s = time.process_time()
+    message = folder.refusal(csv=csv)
+    assert time.process_time() - before_s < 6  # 3 s at most, of 19,000 wrong lines
+    assert words in message
+    assert len(message) < 400
