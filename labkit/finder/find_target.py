@@ -8,8 +8,8 @@ the photograph agrees with the target everywhere. Whatever else is in the frame 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from itertools import chain
+from contextlib import suppress
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from labkit.errors import TargetError
 from labkit.finder.carpet_search import BATCH, Likely, is_carpet, likely_carpets
+from labkit.finder.other_targets import Other, other_targets, shown_in_place
 from labkit.finder.picture import LEAST_CONTRAST, Picture
 from labkit.finder.registration import (
     BEYOND_DOUBT,
@@ -34,7 +35,7 @@ from labkit.finder.registration import (
 )
 from labkit.finder.template_search import likely_places
 from labkit.photographs.photograph import Photograph
-from labkit.target import CellTarget, Target, open_target
+from labkit.target import Target
 from labkit.types import Floats
 
 SCALE_TOLERANCE = 0.15
@@ -50,9 +51,6 @@ pixels a search takes 0.4 s of a processor without the smallest, 1.5 s with them
 
 SMALLEST_FITTED_PX = 36.0
 """Side below which a target says nothing: a carpet's squares of the third order have 1.3 pixels."""
-
-ANY_CARPET = "sierpinski:order=4,size_mm=30"
-"""Looked for where another kind of target is not found."""
 
 MOST_SHOWN = 6
 """Likely places that a picture of a search in vain shows."""
@@ -103,16 +101,19 @@ def find_target(
     Raises
     ------
     TargetError
-        The target is not in the frame, or outside by more than 5 % of its side, or there are several.
+        The target is not in the frame, or outside by more than 5 % of its side, or there are several; or another one is shown.
     """
     search = _Search(Picture.of(image), target)
-    for batch in likely_targets(search.picture, target, mm_per_pixel):
-        for number, likely in enumerate(batch):
-            corners = search.accepted(likely.corners)
-            if corners is not None:
-                others = search.others(corners, batch[number + 1 :])
-                return _meant([corners, *others], target, mm_per_pixel)
-    raise search.failure()
+    try:
+        found = search.found(mm_per_pixel)
+    except TargetError as error:
+        if (other := search.other_shown()) is None:
+            raise
+        raise TargetError(other.message, error.likely_px) from error
+    corners = _meant(found, target, mm_per_pixel)
+    if (other := shown_in_place(search.picture, target, corners)) is not None:
+        raise TargetError(other.message, [corners])
+    return corners
 
 
 def likely_targets(
@@ -215,25 +216,24 @@ class _Search:
                 found.append(at)
         return [at for at in found[1:] if light_range(self.picture, at) > least_light]
 
-    def _other_kind(self) -> str | None:
-        """Return what is in the frame in place of a target that is no carpet, and what to do; None if neither is found."""
-        if is_carpet(self.target):
-            return None
-        for other, words in (
-            (_mirrored(self.target), "mirrored: show and photograph it unmirrored"),
-            (open_target(ANY_CARPET), "a Sierpinski carpet: check kind of [target]"),
-        ):
-            if other is not None and _Search(self.picture, other).finds_one():
-                return words
-        return None
+    def found(self, mm_per_pixel: float | None) -> list[Floats]:
+        """Return the corners of the target, and of others as clear. Raises TargetError where none is found whole."""
+        for batch in likely_targets(self.picture, self.target, mm_per_pixel):
+            for number, likely in enumerate(batch):
+                corners = self.accepted(likely.corners)
+                if corners is not None:
+                    return [corners, *self.others(corners, batch[number + 1 :])]
+        raise self.failure()
 
-    def finds_one(self) -> bool:
-        """Return whether any target is found, whole or not."""
-        batches = likely_targets(self.picture, self.target, None)
-        return any(
-            register(self.picture, self.target, one.corners)[1].is_believable
-            for one in chain.from_iterable(batches)
-        )
+    def other_shown(self) -> Other | None:
+        """Return the target that is in the frame in place of the one that is not found; None if there is none either."""
+        if self.picture.contrast() < LEAST_CONTRAST:
+            return None
+        for other in other_targets(self.target):
+            with suppress(TargetError):
+                if _Search(self.picture, other.target).found(None):
+                    return other
+        return None
 
     def failure(self) -> TargetError:
         """Return why no target was found."""
@@ -249,25 +249,11 @@ class _Search:
                 f"no target found in the frame: it is nearly even, bright parts {contrast:.2f} times as bright as dark ones; "
                 "is the target shown, or white?"
             )
-        if other := self._other_kind():
-            return TargetError(
-                f"no target found in the frame as the plan describes it, but {other}"
-            )
         return TargetError(
             f"no target found in the frame: the likeliest place correlates {max(self.best.credit, 0.0):.2f} with it, "
             f"{LEAST_AGREEMENT:g} is needed; check [target] in the plan, focus and light, or give its corners_px",
             self.likely[:MOST_SHOWN],
         )
-
-
-def _mirrored(target: Target) -> Target | None:
-    """Return a target as in a mirror; None where that is no other one."""
-    if not isinstance(target, CellTarget):
-        return None
-    cells = target.cells[:, ::-1]
-    turns = (np.rot90(target.cells, k) for k in range(4))
-    same = any(np.array_equal(cells, turned) for turned in turns)
-    return None if same else replace(target, cells=cells)
 
 
 def _meant(targets: list[Floats], target: Target, mm_per_pixel: float | None) -> Floats:

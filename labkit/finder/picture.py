@@ -105,6 +105,15 @@ class Picture:
             return _without_pattern(_grey(counts), self._cell)
         return _grey(_binned(counts, factor))
 
+    def own_pixels(
+        self, low: ArrayLike, high: ArrayLike, factor: int
+    ) -> tuple[Singles, int]:
+        """Return a part with the pattern of its mosaic, and after how many pixels that repeats; 1 where binned. See `part`."""
+        if factor > 1 or self._cell == 1:
+            return self.part(low, high, factor), 1
+        (top, left), (bottom, right) = np.asarray(low), np.asarray(high)
+        return _grey(self._counts[top:bottom, left:right]), self._cell
+
     def warped(self, from_map: Floats, shape: tuple[int, int]) -> Singles:
         """Return the picture where an affine map (2, 3) of (x, y) carries a grid's samples, from a copy about as coarse."""
         per_sample = float(np.sqrt(abs(np.linalg.det(from_map[:, :2]))))

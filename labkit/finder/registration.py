@@ -197,7 +197,7 @@ def _beside(image: Singles, corners: Floats) -> Singles:
     """Return the smoothed values beside a quadrilateral."""
     by = homography(OWN_CORNERS, corners)
     inner, outer = (
-        _covered(mapped(by, (1 + 2 * rim) * OWN_CORNERS), image.shape)
+        covered(mapped(by, (1 + 2 * rim) * OWN_CORNERS), image.shape)
         for rim in (CLEAR_RIM, COMPARED_RIM)
     )
     return single(cv2.blur(image, (3, 3))[(outer > 0) & (inner == 0)])
@@ -250,10 +250,10 @@ def neighbourhood(
     high = np.minimum(np.maximum(high, low + 2 * factor), shape)
     image = picture.part(low, high, factor)
     at = (corners - low + 0.5) / factor - 0.5
-    return normalised(image, image[_covered(at, image.shape) > 0]), at, factor
+    return normalised(image, image[covered(at, image.shape) > 0]), at, factor
 
 
-def _covered(corners: Floats, shape: tuple[int, ...]) -> NDArray[np.uint8]:
+def covered(corners: Floats, shape: tuple[int, ...]) -> NDArray[np.uint8]:
     """Return an image that is 1 within a quadrilateral."""
     inside = np.zeros(shape, np.uint8)
     cv2.fillConvexPoly(inside, np.rint(corners[:, ::-1]).astype(np.int32), 1)
@@ -279,6 +279,12 @@ def _render(target: Target, side_px: float, alone: bool) -> _Template:
     corners = np.array([[low, low], [low, right], [bottom, right], [bottom, low]])
     part = (slice(cut, sharp.shape[0] - cut), slice(cut, sharp.shape[1] - cut))
     return _Template(sharp, part, corners)
+
+
+def drawn_with_rim(target: Target, side_px: float) -> tuple[Singles, Floats]:
+    """Return a target drawn sharp, of about `side_px` samples, with some of its surround; and its corners (4, 2) there."""
+    template = _render(target, side_px, alone=False)
+    return template.sharp, template.corners
 
 
 def homography(source: Floats, destination: Floats) -> Floats:
@@ -391,7 +397,7 @@ def _compared(
     warped, in_frame = _aligned(picture, template, corners)
     if hidden is not None:
         at = mapped(homography(corners, template.corners), hidden)
-        in_frame &= _covered(at, in_frame.shape) == 0
+        in_frame &= covered(at, in_frame.shape) == 0
     return warped, template.blurred(np.hypot(sigma, LIGHT_BLUR)), in_frame
 
 

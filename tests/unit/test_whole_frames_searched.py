@@ -117,8 +117,8 @@ def noise(seed: int) -> CellTarget:
 def test_another_kind_and_a_mirrored_target_are_told_apart() -> None:
     target, pose = noise(3), Pose(120, (150, 200), 4.0)
     for shown, words in (
-        (target.cells[:, ::-1], "mirrored"),
-        (CELLS, "a Sierpinski carpet"),
+        (target.cells[:, ::-1], "shows the target mirrored"),
+        (CELLS, "shows a Sierpinski carpet"),
         (noise(4).cells, "the likeliest place correlates"),
     ):
         room = np.zeros((300, 400), np.float32)
