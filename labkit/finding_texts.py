@@ -72,6 +72,10 @@ TEXTS = {
     "gain-not-measured": "no range has two flat frames: gain is not measured, and equal pixels are assumed",
     # each fit
     "results-corrupt": "results.json could not be read; it is set aside as {aside}",
+    "pixels-left-out": (
+        "{named}: beyond what the target and any lens can show, by up to {most_stds:.0f} standard deviations of noise; left "
+        "out as hot, dead or hit by a cosmic ray, which flats and darks do not show"
+    ),
     "fit-left-out": "{note}; completed fits are kept",
     "search-cut-short": (
         "{where}: the search ended after {patience_s:g} s of processor time and {starts} starts without an accepted "

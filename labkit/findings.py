@@ -20,6 +20,9 @@ from labkit.uncertain import Uncertain
 NOTE = "note"
 """The code of a warning in results of schema 1 and 2, which have no codes."""
 
+NAMED_PIXELS = 3
+"""Number of pixels, and of photographs of each, that a sentence names."""
+
 KEBAB_CASE = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 
 
@@ -284,6 +287,37 @@ def stated_model_moves(moves: Moves, rejected: int, optima: int) -> Finding:
         optima=optima,
         **moves.numbers,
     )
+
+
+def pixels_left_out(
+    residual_stds: Mapping[tuple[int, int], Mapping[str, float]],
+) -> Finding:
+    """Report pixels of the target's photographs that no model explains.
+
+    residual_stds: by (row, column) in the frame and by file, in standard deviations of noise
+    """
+    first = list(residual_stds.items())[:NAMED_PIXELS]
+    named = [f"pixel {place} of {_listed(list(files))}" for place, files in first]
+    if (more := len(residual_stds) - len(first)) > 0:
+        named.append(f"{more} more")
+    sizes = [abs(size) for files in residual_stds.values() for size in files.values()]
+    return found(
+        "pixels-left-out",
+        None,
+        {"named": ", ".join(named)},
+        most_stds=max(sizes),
+        pixels=[
+            {"row": row, "column": column, "residual_stds": dict(files)}
+            for (row, column), files in residual_stds.items()
+        ],
+    )
+
+
+def _listed(files: Sequence[str]) -> str:
+    """Return the names of a few files, or the first and the number of others."""
+    if len(files) <= NAMED_PIXELS:
+        return " and ".join([", ".join(files[:-1]), files[-1]] if files[1:] else files)
+    return f"{files[0]} and {len(files) - 1} more"
 
 
 def two_camps(members: Sequence[Key], outliers: Sequence[Key]) -> Finding:

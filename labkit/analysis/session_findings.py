@@ -41,6 +41,7 @@ from labkit.findings import (
     camera_parts_missing,
     found,
     model_incomplete_everywhere,
+    pixels_left_out,
     residuals_not_noise,
     stated_model_moves,
     two_camps,
@@ -91,12 +92,24 @@ def findings_of(
     """
     return [
         *(found("fit-left-out", note=words) for words in session.lost),
+        *_stray_pixels(session),
         *higher_modes(session, wavefronts, plan),
         *camera_findings(session, wavefronts, numbers, wanted_parts(plan)),
         *plan_findings(session.lens, plan),
         *session_findings(session, patience_s),
         *doubtful_wavefronts(wavefronts),
     ]
+
+
+def _stray_pixels(session: Estimate) -> list[Finding]:
+    """Report pixels that the fits left out, by their place in the frame."""
+    places = dict[tuple[int, int], dict[str, float]]()
+    for fit in session.fits:
+        row, column = fit.observation.origin_px
+        for stray in fit.found.strays:
+            files = places.setdefault((row + stray.row, column + stray.column), {})
+            files[fit.observation.names[stray.frame]] = stray.residual_stds
+    return [pixels_left_out(dict(sorted(places.items())))] if places else []
 
 
 def session_findings(session: Estimate, patience_s: float) -> list[Finding]:

@@ -22,6 +22,7 @@ from labkit.findings import (
     flats_partly_unlit,
     found,
     model_incomplete_everywhere,
+    pixels_left_out,
     residuals_not_noise,
     stated_model_moves,
     two_camps,
@@ -104,6 +105,7 @@ SAMPLES = [
     ),
     found("gain-not-measured"),
     found("results-corrupt", aside="results/latest/results.json.corrupt"),
+    pixels_left_out({(70, 93): {"a.dng": 122.4, "b.dng": -9.0}}),
     found(
         "fit-left-out",
         note="G at 3010 mm is left out: FloatingPointError: overflow",
@@ -359,3 +361,15 @@ def test_ranges_and_combinations_are_told_in_words() -> None:
     assert undetermined(GREEN, ["defocus", "mode 11"]).text.startswith(
         "G at 3200 mm: the frames do not determine defocus, mode 11;"
     )
+
+
+def test_pixels_that_are_left_out_are_named_by_place_and_photograph() -> None:
+    files = {f"{k}.dng": 9.0 for k in range(5)}
+    many = {(row, 7): {"a.dng": 30.0} for row in range(4)}
+    assert pixels_left_out({(70, 93): {"a.dng": 122.4, "b.dng": -9.0}}).text.startswith(
+        "pixel (70, 93) of a.dng and b.dng: beyond what the target and any lens can show, by up to 122"
+    )
+    assert pixels_left_out({(1, 2): files}).text.startswith(
+        "pixel (1, 2) of 0.dng and 4 more: "
+    )
+    assert "pixel (2, 7) of a.dng, 1 more: beyond" in pixels_left_out(many).text
