@@ -126,8 +126,8 @@ TEXTS = {
         "ranges near the closest focus would, or smaller errors of focal length and range zero"
     ),
     "plan-contradicted": (
-        "the photographs contradict the plan: they agree with {key} = {agreed} in place of {stated:g}, which the results "
-        "assume; check this key first, then, the likeliest first, {others}; correct the plan and fit again"
+        "the photographs contradict the plan: {key} = {stated:g} is wrong with a probability of {sure} %, the results assume "
+        "{agreed}; correct it and fit again; if it is right, check {others}"
     ),
     "cones-contradict-one-lens": (
         "working f-numbers and sizes contradict one lens focused as a whole (the f-number is {cone_relative_error:+.1%} "

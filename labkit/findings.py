@@ -23,6 +23,12 @@ NOTE = "note"
 NAMED_PIXELS = 3
 """Number of pixels, and of photographs of each, that a sentence names."""
 
+OTHER_KEYS = 3
+"""Number of keys that a sentence names besides the likeliest: each takes a look at lens, camera or target."""
+
+SUREST = 0.995
+"""A larger probability is not repeated: it depends on the model's errors more than on the noise."""
+
 KEBAB_CASE = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 
 
@@ -318,6 +324,42 @@ def _listed(files: Sequence[str]) -> str:
     if len(files) <= NAMED_PIXELS:
         return " and ".join([", ".join(files[:-1]), files[-1]] if files[1:] else files)
     return f"{files[0]} and {len(files) - 1} more"
+
+
+def plan_contradicted(
+    key: str, stated: float, agrees: Uncertain, probability: float, others: Sequence[str]
+) -> Finding:
+    """Report a number of the plan that is probably a mistake.
+
+    Parameters
+    ----------
+    key : names it in the plan
+    stated : the plan's value
+    agrees : the value that agrees with the photographs
+    probability : of this mistake
+    others : keys that may be mistakes in its place, the likeliest first
+    """
+    sure = (
+        f"{100 * probability:.0f}"
+        if probability < SUREST
+        else f"more than {100 * SUREST:g}"
+    )
+    others = list(dict.fromkeys(one for one in others if one != key))[:OTHER_KEYS]
+    return found(
+        "plan-contradicted",
+        None,
+        {"agreed": str(agrees), "sure": sure, "others": _one_of(others)},
+        key=key,
+        stated=stated,
+        agrees=agrees.as_json(),
+        probability=probability,
+        next=others,
+    )
+
+
+def _one_of(names: Sequence[str]) -> str:
+    """Return names with "or" before the last."""
+    return " or ".join([", ".join(names[:-1]), names[-1]] if names[1:] else names)
 
 
 def two_camps(members: Sequence[Key], outliers: Sequence[Key]) -> Finding:

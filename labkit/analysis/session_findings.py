@@ -42,6 +42,7 @@ from labkit.findings import (
     found,
     model_incomplete_everywhere,
     pixels_left_out,
+    plan_contradicted,
     residuals_not_noise,
     stated_model_moves,
     two_camps,
@@ -213,17 +214,14 @@ def plan_findings(lens: LensFit | None, plan: Plan) -> Iterator[Finding]:
     if lens is None or (mistaken := lens.model.laws.mistaken) is None:
         return
     key, stated, agrees = _number(lens, *mistaken, plan)
-    others = [other.model.laws.mistaken for _, other in lens.others]
-    keys = [_key(*column) for column in others if column is not None]
-    yield found(
-        "plan-contradicted",
-        None,
-        {"agreed": str(agrees), "others": ", ".join(keys)},
-        key=key,
-        stated=stated,
-        agrees=agrees.as_json(),
-        probability=1 - sum(probability for probability, _ in lens.others),
-        next=keys,
+    # each mistake is a model with exact wavelengths, and one with usual ones
+    others = [(chance, other.model.laws.mistaken) for chance, other in lens.others]
+    yield plan_contradicted(
+        key,
+        stated,
+        agrees,
+        1 - sum(chance for chance, column in others if column != mistaken),
+        [_key(*column) for _, column in others if column not in (None, mistaken)],
     )
 
 
