@@ -381,7 +381,8 @@ def test_a_mistake_in_the_plan_is_one_sentence_with_three_others_at_most_each_on
     finding = plan_contradicted("lens.f_number", 2.0, Uncertain(2.81, 0.02), 0.9999, keys)
     assert finding.text == (
         "the photographs contradict the plan: lens.f_number = 2 is wrong with a probability of more than 99.5 %, the results "
-        "assume 2.810 ± 0.020; correct it and fit again; if it is right, check the ranges, target.size_mm or sensor.pixel_pitch_um"
+        "assume 2.810 ± 0.020; correct it and fit again; if it is right, check the ranges, target.size_mm or "
+        "sensor.pixel_pitch_um"
     )
     sure = plan_contradicted("lens.f_number", 2.0, Uncertain(2.81, 0.02), 0.93, keys[:2])
     assert "a probability of 93 %" in sure.text
