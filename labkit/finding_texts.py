@@ -72,6 +72,10 @@ TEXTS = {
     "gain-not-measured": "no range has two flat frames: gain is not measured, and equal pixels are assumed",
     # each fit
     "results-corrupt": "results.json could not be read; it is set aside as {aside}",
+    "pixels-left-out": (
+        "{named}: beyond what the target and any lens can show, by up to {most_stds:.0f} standard deviations of noise; left "
+        "out as hot, dead or hit by a cosmic ray, which flats and darks do not show"
+    ),
     "fit-left-out": "{note}; completed fits are kept",
     "search-cut-short": (
         "{where}: the search ended after {patience_s:g} s of processor time and {starts} starts without an accepted "
@@ -122,8 +126,8 @@ TEXTS = {
         "ranges near the closest focus would, or smaller errors of focal length and range zero"
     ),
     "plan-contradicted": (
-        "the photographs contradict the plan: they agree with {key} = {agreed} in place of {stated:g}, which the results "
-        "assume; check this key first, then, the likeliest first, {others}; correct the plan and fit again"
+        "the photographs contradict the plan: {key} = {stated:g} is wrong with a probability of {sure} %, the results assume "
+        "{agreed}; correct it and fit again; if it is right, check {others}"
     ),
     "cones-contradict-one-lens": (
         "working f-numbers and sizes contradict one lens focused as a whole (the f-number is {cone_relative_error:+.1%} "

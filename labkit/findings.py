@@ -20,6 +20,15 @@ from labkit.uncertain import Uncertain
 NOTE = "note"
 """The code of a warning in results of schema 1 and 2, which have no codes."""
 
+NAMED_PIXELS = 3
+"""Number of pixels, and of photographs of each, that a sentence names."""
+
+OTHER_KEYS = 3
+"""Number of keys that a sentence names besides the likeliest: each takes a look at lens, camera or target."""
+
+SUREST = 0.995
+"""A larger probability is not repeated: it depends on the model's errors more than on the noise."""
+
 KEBAB_CASE = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 
 
@@ -284,6 +293,73 @@ def stated_model_moves(moves: Moves, rejected: int, optima: int) -> Finding:
         optima=optima,
         **moves.numbers,
     )
+
+
+def pixels_left_out(
+    residual_stds: Mapping[tuple[int, int], Mapping[str, float]],
+) -> Finding:
+    """Report pixels of the target's photographs that no model explains.
+
+    residual_stds: by (row, column) in the frame and by file, in standard deviations of noise
+    """
+    first = list(residual_stds.items())[:NAMED_PIXELS]
+    named = [f"pixel {place} of {_listed(list(files))}" for place, files in first]
+    if (more := len(residual_stds) - len(first)) > 0:
+        named.append(f"{more} more")
+    sizes = [abs(size) for files in residual_stds.values() for size in files.values()]
+    return found(
+        "pixels-left-out",
+        None,
+        {"named": ", ".join(named)},
+        most_stds=max(sizes),
+        pixels=[
+            {"row": row, "column": column, "residual_stds": dict(files)}
+            for (row, column), files in residual_stds.items()
+        ],
+    )
+
+
+def _listed(files: Sequence[str]) -> str:
+    """Return the names of a few files, or the first and the number of others."""
+    if len(files) <= NAMED_PIXELS:
+        return " and ".join([", ".join(files[:-1]), files[-1]] if files[1:] else files)
+    return f"{files[0]} and {len(files) - 1} more"
+
+
+def plan_contradicted(
+    key: str, stated: float, agrees: Uncertain, probability: float, others: Sequence[str]
+) -> Finding:
+    """Report a number of the plan that is probably a mistake.
+
+    Parameters
+    ----------
+    key : names it in the plan
+    stated : the plan's value
+    agrees : the value that agrees with the photographs
+    probability : of this mistake
+    others : keys that may be mistakes in its place, the likeliest first
+    """
+    sure = (
+        f"{100 * probability:.0f}"
+        if probability < SUREST
+        else f"more than {100 * SUREST:g}"
+    )
+    others = list(dict.fromkeys(one for one in others if one != key))[:OTHER_KEYS]
+    return found(
+        "plan-contradicted",
+        None,
+        {"agreed": str(agrees), "sure": sure, "others": _one_of(others)},
+        key=key,
+        stated=stated,
+        agrees=agrees.as_json(),
+        probability=probability,
+        next=others,
+    )
+
+
+def _one_of(names: Sequence[str]) -> str:
+    """Return names with "or" before the last."""
+    return " or ".join([", ".join(names[:-1]), names[-1]] if names[1:] else names)
 
 
 def two_camps(members: Sequence[Key], outliers: Sequence[Key]) -> Finding:

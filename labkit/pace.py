@@ -13,6 +13,11 @@ PAUSED = "paused on the operator's page"
 """The name of a step in which nothing is done until somebody lets it."""
 
 
+EARLIER = "earlier ones took here"
+RULE = "most take"
+"""Whose time an expected duration is."""
+
+
 class Pace:
     """Completed and total steps with their times, in seconds of any clock; time on hold does not count."""
 
@@ -90,12 +95,18 @@ def in_words(seconds: float) -> str:
 
 @dataclass(slots=True)
 class Work:
-    """The progress of some work."""
+    """The progress of some work.
+
+    expected_s: duration by earlier work or by a rule, which counts until steps show a pace;
+    None if unknown; expected_by: whose duration that is
+    """
 
     doing: str
     step: str = ""
     pace: Pace = field(default_factory=Pace)
     began_s: float = field(default_factory=lambda: time.monotonic())
+    expected_s: float | None = None
+    expected_by: str = EARLIER
 
     def report(self, done: int, total: int, step: str) -> None:
         """Record the start of a step, as a `Progress`."""
@@ -116,4 +127,9 @@ class Work:
             return f"{so_far}, about {in_words(left_s)} left"
         if self.pace.on_hold or self.pace.done >= self.pace.total > 0:
             return so_far
-        return f"{so_far}, time left not known yet"
+        if self.expected_s is None:
+            return f"{so_far}, time left not known yet"
+        usual = f"the {in_words(self.expected_s)} that {self.expected_by}"
+        if (left_s := self.expected_s - (now_s - self.began_s)) > 0:
+            return f"{so_far}, about {in_words(left_s)} left of {usual}"
+        return f"{so_far}, more than {usual}"

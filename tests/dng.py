@@ -24,7 +24,7 @@ def write_dng(
     exposure: tuple[int, int] = (1, 50),
     more: Sequence[tuple[Any, ...]] = (),
 ) -> Path:
-    """A minimal DNG by the Adobe DNG 1.4 specification; cfa "mono" makes it LinearRaw of one sample. more: tags."""
+    """A minimal DNG by the Adobe DNG 1.4 specification; cfa "mono" makes it LinearRaw of one sample. more: tags, first."""
     blacks = (black,) if isinstance(black, int) else black
     tags: list[tuple[Any, ...]] = [
         (271, "s", 0, "Acme", True),
@@ -39,12 +39,13 @@ def write_dng(
         (50717, "I", 1, white, True),
         (50721, "2i", 9, (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1), True),
         (50778, "H", 1, 21, True),
-        *more,
         *([(50713, "H", 2, (2, 2), True)] if len(blacks) == 4 else []),
     ]
     if cfa != "mono":
         pattern = bytes(COLOURS[colour] for colour in cfa)
         tags += [(33421, "H", 2, (2, 2), True), (33422, "B", 4, pattern, True)]
+    own = {tag[0] for tag in more}
+    tags = [*more, *(tag for tag in tags if tag[0] not in own)]
     with tifffile.TiffWriter(path) as writer:
         photometric = "minisblack" if cfa == "mono" else CFA
         writer.write(

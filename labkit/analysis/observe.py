@@ -49,6 +49,7 @@ from labkit.imaging.warp import Pose
 from labkit.key import Key, Tile, same_range
 from labkit.panel.target_pixels import as_shown
 from labkit.photographs.decoding import read_photograph
+from labkit.photographs.exposure import is_constant
 from labkit.photographs.photograph import Cut, Photograph
 from labkit.plan import Plan
 from labkit.session.frame import Frame, distinct
@@ -118,7 +119,10 @@ def observe(
     DataError : nothing to fit, or the target's sizes contradict plan and ranges
     TargetError : a frame does not show the target
     """
-    photographs, again = distinct(session.frames)
+    photographs, again = distinct(
+        session.frames,
+        lambda frame: is_constant(read_photograph(frame.path, plan.sensor)),
+    )
     frames, channels = selected(photographs, plan, range_mm, channel)
     # a panel that is impossible is refused before photographs are looked at
     for name in channels:

@@ -41,6 +41,8 @@ from labkit.findings import (
     camera_parts_missing,
     found,
     model_incomplete_everywhere,
+    pixels_left_out,
+    plan_contradicted,
     residuals_not_noise,
     stated_model_moves,
     two_camps,
@@ -91,12 +93,24 @@ def findings_of(
     """
     return [
         *(found("fit-left-out", note=words) for words in session.lost),
+        *_stray_pixels(session),
         *higher_modes(session, wavefronts, plan),
         *camera_findings(session, wavefronts, numbers, wanted_parts(plan)),
         *plan_findings(session.lens, plan),
         *session_findings(session, patience_s),
         *doubtful_wavefronts(wavefronts),
     ]
+
+
+def _stray_pixels(session: Estimate) -> list[Finding]:
+    """Report pixels that the fits left out, by their place in the frame."""
+    places = dict[tuple[int, int], dict[str, float]]()
+    for fit in session.fits:
+        row, column = fit.observation.origin_px
+        for stray in fit.found.strays:
+            files = places.setdefault((row + stray.row, column + stray.column), {})
+            files[fit.observation.names[stray.frame]] = stray.residual_stds
+    return [pixels_left_out(dict(sorted(places.items())))] if places else []
 
 
 def session_findings(session: Estimate, patience_s: float) -> list[Finding]:
@@ -200,17 +214,14 @@ def plan_findings(lens: LensFit | None, plan: Plan) -> Iterator[Finding]:
     if lens is None or (mistaken := lens.model.laws.mistaken) is None:
         return
     key, stated, agrees = _number(lens, *mistaken, plan)
-    others = [other.model.laws.mistaken for _, other in lens.others]
-    keys = [_key(*column) for column in others if column is not None]
-    yield found(
-        "plan-contradicted",
-        None,
-        {"agreed": str(agrees), "others": ", ".join(keys)},
-        key=key,
-        stated=stated,
-        agrees=agrees.as_json(),
-        probability=1 - sum(probability for probability, _ in lens.others),
-        next=keys,
+    # each mistake is a model with exact wavelengths, and one with usual ones
+    others = [(chance, other.model.laws.mistaken) for chance, other in lens.others]
+    yield plan_contradicted(
+        key,
+        stated,
+        agrees,
+        1 - sum(chance for chance, column in others if column != mistaken),
+        [_key(*column) for _, column in others if column not in (None, mistaken)],
     )
 
 

@@ -16,7 +16,7 @@ from io import StringIO
 from typing import TYPE_CHECKING, Any, TextIO
 
 from labkit.errors import printable
-from labkit.pace import Work
+from labkit.pace import EARLIER, Work
 
 if TYPE_CHECKING:
     from labkit.cli.progress_bar import Bar
@@ -94,17 +94,19 @@ class Console:
             self.say((indent + "  ".join(cells)).rstrip())
 
     @contextmanager
-    def progress(self, doing: str) -> Iterator[Progress]:
+    def progress(
+        self, doing: str, expected_s: float | None = None, expected_by: str = EARLIER
+    ) -> Iterator[Progress]:
         """Show a bar with the time left on a terminal, elsewhere a line every ten seconds.
 
-        With --quiet nothing is shown.
+        With --quiet nothing is shown. expected_s, expected_by: see `Work`.
         """
         if self.quiet:
             yield lambda done, total, step: None
             return
         from labkit.cli.progress_bar import bar_of, terminal
 
-        work = Work(doing)
+        work = Work(doing, expected_s=expected_s, expected_by=expected_by)
         shown_on = terminal()
         if shown_on is None:
             with _lines(work):

@@ -17,7 +17,7 @@ from labkit.panel.panels import PANELS, panel_info
 from labkit.panel.picture import panel_picture
 from labkit.plan import DisplaySettings, Plan
 from labkit.plan.tables import BY_HAND, NEEDED_BY_KIND
-from labkit.plan.text import message, plain_number, write_tables
+from labkit.plan.text import message, numbers_meant, write_tables
 from labkit.session.draft_plan import FILL_IN, Row, draft_tables
 from labkit.spectra import COLOURS, LIGHT_KINDS
 from labkit.target_grid import whole_target
@@ -339,9 +339,11 @@ def _parsed(text: str, like: Any) -> Any:
 
 
 def _number(text: str) -> Any:
+    meant = numbers_meant(text)
+    plain = meant[0] if len(meant) == 1 else text  # what is open is refused, with both
     for kind in (int, float):
         try:
-            return kind(plain_number(text) or text)
+            return kind(plain)
         except ValueError:
             continue
     return text

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import re
+import time
+from contextlib import suppress
+from dataclasses import dataclass, field
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -25,10 +28,16 @@ from labkit.cli.app import (
     studies,
 )
 from labkit.cli.console import Console
-from labkit.errors import DataError, LabkitError
+from labkit.errors import DataError, InputError, LabkitError
+from labkit.pace import EARLIER, RULE
 
 if TYPE_CHECKING:
+    from labkit.plan import Plan
     from labkit.results import Results
+    from labkit.session.session import Session
+
+FIT = "fit"
+"""Name of fits among the paces that were learnt."""
 
 # What a command needs is imported inside it: `labkit --help` and tab completion must not wait for SciPy.
 
@@ -277,19 +286,22 @@ def fit(
     a_session(session)
     a_plan(plan)
     from labkit.analysis.fit import fit as fit_session
+    from labkit.plan import Plan
     from labkit.session.session import Session
 
     console: Console = ctx.obj
     opened = Session.open(session)
     console.warn(*opened.warnings)
+    other = None if plan is None else Plan.load(plan)
+    timed = _Timed.of(opened, other or opened.plan, range_mm, channel, workers)
     with (
         kept_if_interrupted(console),
         cluster_or_none(dask, workers) as cluster,
-        console.progress("fitting") as report,
+        console.progress("fitting", *timed.expected) as report,
     ):
         results = fit_session(
             opened,
-            plan=plan,
+            plan=other,
             ranges_mm=range_mm,
             channels=channel,
             noll=_modes(noll),
@@ -303,7 +315,61 @@ def fit(
             run=cluster,
             progress=report,
         )
+    timed.learn()
     _show(console, results, diagnose)
+
+
+@dataclass(frozen=True, slots=True)
+class _Timed:
+    """The size of a fit and its begin.
+
+    Attributes
+    ----------
+    size : see `fit_size`; 0 if the fit will be refused
+    whole : whether no fits are kept from an interrupted one
+    """
+
+    size: float
+    whole: bool
+    began_s: float = field(default_factory=time.monotonic)
+
+    @classmethod
+    def of(
+        cls,
+        session: Session,
+        plan: Plan,
+        ranges_mm: list[float] | None,
+        names: list[str] | None,
+        workers: int | None,
+    ) -> _Timed:
+        from labkit.analysis.fit_size import fit_size
+        from labkit.analysis.kept_fits import FOLDER
+        from labkit.execute import default_workers
+
+        size = 0.0
+        with suppress(InputError):  # which the fit will say
+            size = fit_size(
+                session.frames, plan, ranges_mm, names, workers or default_workers()
+            )
+        return cls(size, not any(session.folder.glob(f"results/*/{FOLDER}")))
+
+    @property
+    def expected(self) -> tuple[float | None, str]:
+        """Expected duration in seconds, and whose it is."""
+        from labkit.analysis.fit_size import USUAL_S
+        from labkit.learnt_paces import Paces
+
+        if not self.size:
+            return None, EARLIER
+        learnt_s = Paces.of_user().expected_s(FIT, self.size)
+        return (self.size * USUAL_S, RULE) if learnt_s is None else (learnt_s, EARLIER)
+
+    def learn(self) -> None:
+        """Remember how long the fit took."""
+        from labkit.learnt_paces import Paces
+
+        if self.whole:
+            Paces.of_user().learn(FIT, self.size, time.monotonic() - self.began_s)
 
 
 def _show(console: Console, results: Results, diagnose: bool) -> None:

@@ -68,6 +68,13 @@ class NoisePrior:
         return 1 / np.array([self.gain_std, self.read_variance_std]) ** 2
 
 
+MOST_LIGHT = 1e6
+"""Largest light of a trial over that where a climb began, or over one count."""
+
+MOST_UNEVENNESS = 10.0
+"""Largest coefficient of uneven light: at 1 it is dark in a corner."""
+
+
 @dataclass(frozen=True)
 class State:
     """A point of the parameter space.
@@ -387,8 +394,9 @@ class _Drawn(Position):
 def sane(state: State, start: State) -> bool:
     """Return whether a trial is plausible: positive light, every corner in front of the lens and near the start's corner.
 
-    Corners are known to about a pixel beforehand; half of the target's size is allowed. Without the test a pose with a
-    defocus far off diverged to a target too magnified to draw in memory.
+    Light that the photographs hardly tell makes steps of any size, whose squares are beyond all numbers. Corners are known to
+    about a pixel beforehand; half of the target's size is allowed. Without the test a pose with a defocus far off diverged to a
+    target too magnified to draw in memory.
     """
     for pose, first in zip(state.poses, start.poses, strict=True):
         reach = 0.5 * np.ptp(first.corners_px(), axis=0).max()
@@ -397,4 +405,7 @@ def sane(state: State, start: State) -> bool:
             and np.abs(pose.corners_px() - first.corners_px()).max() < reach
         ):
             return False
-    return bool(np.all(state.scales > 0))
+    light = np.abs([state.scales, state.ambients]).max()
+    usual = max(np.abs([start.scales, start.ambients]).max(), 1.0)
+    even = bool(np.all(np.abs(state.unevenness) < MOST_UNEVENNESS))
+    return bool(np.all(state.scales > 0)) and bool(light < MOST_LIGHT * usual) and even

@@ -312,16 +312,17 @@ class Opened(Position):
 
     def moved(self, change: Floats) -> Opened:
         expansion = self.expansion
-        state, optics = expansion.moved(change), expansion.optics_after(change)
         widened = abs(change[expansion.camera.stop - 1]) > 3 * SETTINGS.loose
         if widened or not expansion.sane_after(change, self.first):
-            return replace(self, at=Start(state))
+            # not even the state: a pupil without a clear part has no centre
+            return replace(self, at=Start(self.at.state))
+        state, optics = expansion.moved(change), expansion.optics_after(change)
         model = with_optics_about(self.problem.model, optics, expansion.state)
         problem = replace(self.problem, model=model)
         return replace(self, problem=problem, at=problem.drawn(state), exact=True)
 
     def foreseen(self, change: Floats) -> Opened | None:
-        if not self.exact:
+        if not (self.exact and self.expansion.sane_after(change, self.first)):
             return None
         images = self.expansion.foreseen(change)
         start = Start(self.expansion.moved(change), None, images)

@@ -42,7 +42,10 @@ def expanded_about(problem: Problem, start: Start, f_number_std: float) -> Freed
         free = np.arange(expansion.camera.stop, change.size)
         information = expansion.information[np.ix_(free, free)]
         change[free] = inverse(information) @ expansion.gradient[free]
-        position = position.moved(change)
+        there = position.moved(change)
+        if not there.at.relative:  # implausible: what was reached is kept
+            break
+        position = there
     freed = position.freed(HELD_STEPS, True)
     step, _ = freed.expansion.newton(position.precision)
     foreseen = freed.solution.objective + 0.5 * float(step @ freed.expansion.gradient)

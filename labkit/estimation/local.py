@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from time import perf_counter, process_time
 
 import numpy as np
@@ -20,6 +21,7 @@ from labkit.estimation.ridge import Ridge
 from labkit.estimation.scores import ScoreTest, score_tests, twin_scores
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.starts import Log, Sketches
+from labkit.estimation.stray_pixels import StrayPixel, stray_pixels, without_pixels
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
@@ -131,6 +133,7 @@ class Found:
     returns : number of starts that returned to the best optimum
     cut_short : whether the user's cap ended the search
     seconds : duration of the search
+    strays : pixels that no model explains, which the optima leave out
     """
 
     optima: tuple[Optimum, ...]
@@ -139,6 +142,7 @@ class Found:
     returns: int = 0
     cut_short: bool = False
     seconds: float = 0.0
+    strays: tuple[StrayPixel, ...] = ()
 
     @property
     def best(self) -> Optimum:
@@ -156,8 +160,8 @@ class Found:
         return self.returns >= SETTINGS.enough_returns
 
     def joined(self, later: Found) -> Found:
-        """Merge the results of a later search."""
-        optima = list(self.optima)
+        """Merge the results of a later search; optima with pixels that the later one leaves out are dropped."""
+        optima = [] if later.strays else list(self.optima)
         for optimum in later.optima:
             optima = _with(optima, optimum)
         return Found(
@@ -167,6 +171,7 @@ class Found:
             max(self.returns, later.returns),
             later.cut_short,
             self.seconds + later.seconds,
+            self.strays + later.strays,
         )
 
 
@@ -249,37 +254,56 @@ def find_optima(
     progress : called with the step under way
     """
     began = perf_counter()
-    search = _Search.of(optics, target, views, guesses, seed)
-    log = Log(
-        guesses.most_starts if guesses.deep else 0,
-        process_time() + guesses.patience_s,
-        progress,
-    )
-    optima = list[Optimum]()
-    for guess, state in search.states(log):
-        progress("at full resolution")
-        freed = search.climbed(state)
-        optimum = replace(_judged(freed), held=guesses.held)
-        log.tried.append((state, optimum.log_likelihood))
-        optima = _with(optima, optimum)
-        if optima[0] is optimum:
-            expansion = freed.expansion
-        if search.ends_with(optimum, guess):
+    ends_at = process_time() + guesses.patience_s
+    strays: tuple[StrayPixel, ...] = ()
+    made = 0
+    before: _Ended | None = None
+    # a refit is compared with the fit before, of the same pixels
+    cleanings = SETTINGS.cleanings if guesses.state is None else 0
+    while True:
+        frames = without_pixels(views.frames, strays)
+        search = _Search.of(optics, target, replace(views, frames=frames), guesses, seed)
+        log = Log(guesses.most_starts if guesses.deep else 0, ends_at, progress)
+        ended = search.run(log, before, looks=cleanings > 0)
+        made += log.starts
+        if not ended.strays:
             break
+        strays += ended.strays
+        before = ended
+        cleanings -= 1
+    optima = ended.optima
     explained = any(optimum.verdict.accepted for optimum in optima)
     names = guesses.score
     if not optima[0].verdict.accepted:
         names += guesses.score_unexplained
-    tests = score_tests(expansion, names, guesses.f_number_std)
-    optima[0] = replace(optima[0], scores=tests)
+    tests = score_tests(ended.best.expansion, names, guesses.f_number_std)
     return Found(
-        tuple(optima),
-        log.starts,
+        (replace(optima[0], scores=tests), *optima[1:]),
+        made,
         _below(log.others),
         log.returns,
         log.late and not (explained or log.settled),
         perf_counter() - began,
+        strays,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Ended:
+    """End of a search.
+
+    Attributes
+    ----------
+    optima : the likeliest first
+    best : the climb to the likeliest
+    guess : predicted wavefront (modes,) of the last climb; None without
+    strays : pixels that the last optimum shows to be stray, whereupon the search ended
+    """
+
+    optima: list[Optimum]
+    best: Freed
+    guess: Floats | None
+    strays: tuple[StrayPixel, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -319,6 +343,34 @@ class _Search:
         return cls(
             Problem(model, views.frames, views.noise), sketched, views, guesses, first
         )
+
+    def run(self, log: Log, before: _Ended | None, *, looks: bool) -> _Ended:
+        """Climb until a climb ends the search.
+
+        Parameters
+        ----------
+        log : record of the search
+        before : end of the same search with stray pixels, where this one begins; None without
+        looks : whether the search ends once an optimum shows stray pixels
+        """
+        states = self.states(log)
+        if before is not None:
+            states = chain([(before.guess, before.optima[0].state)], states)
+        optima = list[Optimum]()
+        for guess, state in states:
+            log.progress("at full resolution")
+            freed = self.climbed(state)
+            optimum = replace(_judged(freed), held=self.guesses.held)
+            frames = self.views.frames
+            if looks and (strays := stray_pixels(frames, residuals(optimum, frames))):
+                return _Ended([optimum], freed, guess, strays)
+            log.tried.append((state, optimum.log_likelihood))
+            optima = _with(optima, optimum)
+            if optima[0] is optimum:
+                best = freed
+            if self.ends_with(optimum, guess):
+                break
+        return _Ended(optima, best, guess, ())
 
     def states(self, log: Log) -> Iterator[tuple[Floats | None, State]]:
         """Yield states to climb from, each with the predicted wavefront if there is one."""

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from labkit.errors import FitError, LostTasksError
 from labkit.estimation.local import Found, Guesses, Views, find_optima
 from labkit.estimation.observation import Observation
+from labkit.estimation.stray_pixels import without_pixels
 from labkit.execute import Run
 from labkit.imaging.optics import Optics
 from labkit.processes import say
@@ -49,7 +50,7 @@ class Searches:
 
     Attributes
     ----------
-    observations : observations of the session, in order
+    observations : observations of the session, in order; stray pixels that searches find are left out of them
     targets : the target as shown to each channel
     run : maps tasks
     progress : called with the searches under way
@@ -59,7 +60,7 @@ class Searches:
     later : number of steps that are known to follow the session's first fits; None if that depends on the searches
     """
 
-    observations: Sequence[Observation]
+    observations: list[Observation]
     targets: Mapping[str, Target]
     run: Run
     progress: Progress
@@ -114,6 +115,7 @@ class Searches:
                 del under_way[order[index]]
                 self.progress(self.made, total, _named(doing, under_way))
                 results[order[index]] = found
+                self._leave_out(wanted[order[index]][0], found)
         except LostTasksError as error:
             self.lost |= {task.label: why for task, why in error.lost}
         self.fitted |= {k for (k, *_), found in zip(wanted, results, strict=True) if found}
@@ -139,6 +141,14 @@ class Searches:
             for label, why in self.lost.items()
             if label not in fitted
         ]
+
+    def _leave_out(self, k: int, found: Found) -> None:
+        """Leave the pixels that a search found to be stray out of an observation."""
+        if found.strays:
+            of = self.observations[k]
+            frames = without_pixels(of.frames, found.strays)
+            self.observations[k] = of = replace(of, frames=frames)
+            self.views[k] = share(Views(of.frames, of.poses, of.noise))
 
     def _task(self, k: int, optics: Optics, guesses: Guesses) -> Task:
         observation = self.observations[k]

@@ -72,7 +72,7 @@ def estimate(
     ------
     FitError : no observation could be fitted
     """
-    searches = Searches(tuple(observations), targets, run, progress)
+    searches = Searches(list(observations), targets, run, progress)
     loop = _Loop(searches, plan, patience_s)
     loop.explore()
     return loop.ended(plain)

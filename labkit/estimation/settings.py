@@ -104,6 +104,19 @@ class Settings:
     unmeasured: float = 0.25
     """Standard error above which a combination of modes (waves), or the variance of the noise (relative), is undetermined."""
 
+    # stray_pixels: pixels that no model explains
+    stray_stds: float = 8.0
+    """Standard deviations of noise that a stray pixel departs at least: noise does by chance once in 10^15."""
+    stray_ratio: float = 3.0
+    """Least ratio to the usual largest residual, that of the rank below. In first fits of seven golden sessions, with chi2 per
+    pixel up to 21, the largest of all was up to 1.7 times that."""
+    stray_share: float = 0.002
+    """Largest share of stray pixels in a photograph: more residuals alike show what the model lacks."""
+    least_strays: int = 8
+    """Number of stray pixels that any photograph may have: the track of a cosmic ray."""
+    cleanings: int = 3
+    """Number of times that stray pixels are looked for anew: a fit without the largest shows smaller ones."""
+
     # lens_model: what is known of every lens, camera and rail before a session
     usual_waves: float = 0.15
     """Standard deviation of each mode beyond defocus before any photograph. It holds what light does not tell: in sketches of

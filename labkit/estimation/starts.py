@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from time import process_time
+from time import perf_counter, process_time
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from labkit.imaging.scene import Drawing
 from labkit.imaging.warp import Pose
 from labkit.imaging.window import WINDOW_AIRY
 from labkit.optics.wavefront import DEFOCUS, FARTHEST_WAVES
+from labkit.pace import in_words
 from labkit.target import Target
 from labkit.types import Floats
 
@@ -122,6 +123,7 @@ class Log:
     tried : starts of climbs over the whole likelihood, each with the log-likelihood at the climb's end
     others : modes, waves RMS, and minus the log-likelihood of optima met so far
     returns : number of starts that returned to the best optimum
+    began_s : when the search began, of the performance counter
     """
 
     most: int
@@ -131,6 +133,13 @@ class Log:
     tried: list[tuple[State, float]] = field(default_factory=list)
     others: list[tuple[Floats, float]] = field(default_factory=list)
     returns: int = 0
+    began_s: float = field(default_factory=perf_counter)
+
+    @property
+    def left(self) -> str:
+        """Return the time that all further starts take together, in words."""
+        each_s = (perf_counter() - self.began_s) / max(self.starts, 1)
+        return in_words(each_s * max(self.most - self.starts, 0))
 
     @property
     def late(self) -> bool:
@@ -319,7 +328,7 @@ def at_random(sketches: Sketches, state: State, log: Log) -> Iterator[State]:
         made += 1
         log.starts += 1
         log.met(end)
-        log.progress(f"start {log.starts} of {log.most} at most")
+        log.progress(f"start {log.starts} of {log.most} at most, up to {log.left} more")
         if end.objective > best.objective + SETTINGS.same_optimum:
             best = end
             log.returns = 0

@@ -7,6 +7,7 @@ point spread is nowhere negative and makes no edge overshoot; sharpening does.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +25,10 @@ SEEN = 8.0
 
 SLOW_BAND, MIDDLE_BAND, UPPER_BAND = (0.04, 0.10), (0.10, 0.20), (0.42, 0.50)
 """Bands, cycles per pixel: noise in the upper one is compared with that in the middle."""
+
+ACROSS_BAND = (0.05, 0.20)
+"""Frequencies across those of the upper band. Offsets of rows or columns, whatever their pattern, have the frequency 0 there,
+which the window widens to 0.03, and a checkerboard's 0.5."""
 
 SMOOTH_RATIO = 3.0
 """A part is smooth whose slow band has no more than this times its middle one's power: structure has far more."""
@@ -48,6 +53,9 @@ LEAST_PROFILES, MOST_PROFILES, MOST_PROFILE_ROWS = 40, 20_000, 512
 OVERSHOOT = 0.05
 """Of an edge's contrast."""
 
+OFFSET_SIGMAS, OFFSET_SHARE = 8.0, 0.5
+"""Black levels differ if they do by this many standard errors, and by this share of a pixel's noise."""
+
 
 @dataclass(frozen=True, slots=True)
 class Alterations:
@@ -66,11 +74,14 @@ class Noise:
     """Noise of the smooth parts of a picture.
 
     upper: power near Nyquist's frequency over that in the middle, along rows and columns;
-    periodic: power of the strongest period over the median's
+    periodic: power of the strongest period over the median's;
+    offsets: by name, differences of black levels that stand out of a pixel's noise, in
+    counts
     """
 
     upper: tuple[float, float]
     periodic: float
+    offsets: Mapping[str, float]
 
 
 def alterations(photograph: Photograph) -> Alterations:
@@ -95,6 +106,11 @@ def alterations(photograph: Photograph) -> Alterations:
             how = "enlarged or smoothed by a program, or much compressed"
         notes.append(
             f"the photographs were {how}, noise is {percent}: that is part of the PSF; give them as the camera made them"
+        )
+    if noise is not None and noise.offsets and photograph.tone is None:
+        listed = ", ".join(f"{name} by {by:.2g}" for name, by in noise.offsets.items())
+        notes.append(
+            f"black levels differ, in counts: {listed}; dark frames of the same exposure remove it"
         )
     how = ""
     if overshoot > OVERSHOOT:
@@ -132,16 +148,36 @@ def noise_of(photograph: Photograph) -> Noise | None:
         return None
     noise = np.mean((middle - rounding)[seen])
     along_rows, along_cols = (
-        float(
-            np.mean((_band(turned, UPPER_BAND, (0.0, MIDDLE_BAND[1])) - rounding)[seen])
-            / noise
-        )
+        float(np.mean((_band(turned, UPPER_BAND, ACROSS_BAND) - rounding)[seen]) / noise)
         for turned in (power, power.swapaxes(1, 2))
     )
     return Noise(
         (max(0.0, along_rows), max(0.0, along_cols)),
         _periodic(plane, places[seen], photograph.compressed),
+        _offsets(chosen[seen], float(np.sqrt(noise))),
     )
+
+
+def _offsets(tiles: Floats, noise_std: float) -> dict[str, float]:
+    """Return by name the differences between the four places of a cell of two by two that stand out, in counts.
+
+    tiles: (tiles, rows, columns) of smooth parts; noise_std: of a pixel.
+    """
+    signs = {
+        "even and odd rows": ((1, 1), (-1, -1)),
+        "even and odd columns": ((1, -1), (1, -1)),
+        "the two diagonals of each four pixels": ((1, -1), (-1, 1)),
+    }
+    rows, columns = tiles.shape[1:]
+    pairs = tiles.reshape(-1, rows // 2, 2, columns // 2, 2).mean(axis=(1, 3))
+    offsets = dict[str, float]()
+    for name, of in signs.items():
+        each = np.einsum("trc,rc->t", pairs, np.array(of)) / 2
+        difference = abs(float(each.mean()))
+        std = float(each.std(ddof=1)) / np.sqrt(len(each))
+        if difference > max(OFFSET_SIGMAS * std, OFFSET_SHARE * noise_std):
+            offsets[name] = difference
+    return offsets
 
 
 def edge_overshoot(plane: ArrayLike) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -13,7 +13,12 @@ from labkit.apart import run_apart
 from labkit.errors import InputError, RawError, shown
 from labkit.photographs.exif import read_exif
 from labkit.photographs.metadata import refuse_impossible
-from labkit.photographs.picture_file import JPEG, check_strips, format_of
+from labkit.photographs.picture_file import (
+    JPEG,
+    OTHER_COLOURS,
+    check_strips,
+    format_of,
+)
 from labkit.reading import opened_photograph
 
 OTHER_RAW = re.compile(
@@ -28,21 +33,42 @@ RAW_SUFFIXES = re.compile(
 )
 """Endings of cameras' raw files."""
 
-PLAIN_PHOTOMETRICS = (0, 1, 2)  # white or black is zero, RGB
+PLAIN_PHOTOMETRICS = (0, 1, 2, *OTHER_COLOURS)  # white or black is zero, RGB
 MAKE, DNG_VERSION = 271, 50706
+CFA_SIZE, CFA_LAYOUT = 33421, 50711
 """Tags of a TIFF."""
+
+OTHER_PICTURES = {
+    rb"P[13467fF]\s": "a picture in PBM, PPM, PFM or PAM",
+    rb"GIF8": "a GIF",
+    rb"BM": "a BMP",
+    rb"RIFF.{4}WEBP": "a WebP",
+    rb".{4}ftyp": "a picture in HEIF or AVIF, or a film",
+    rb"(\0\0\0\x0cjP  |\xffO\xffQ)": "a JPEG 2000",
+    rb"v/1\x01": "an OpenEXR",
+    rb"SIMPLE  =": "a FITS",
+    rb"8BPS": "a Photoshop document",
+    rb"%PDF": "a PDF",
+}
+"""Files of pictures that are not read, by their first bytes."""
 
 Kind = Literal["raw", "tiff", "png", "pgm", "jpeg", "headerless"]
 
 
 @dataclass(frozen=True, slots=True)
 class Container:
-    """The type of a file, and camera and exposure by its tags."""
+    """The type of a file, and camera, exposure and filter array by its tags.
+
+    cfa_px: (rows, columns) of the filter array's cell, by tags of a raw file in TIFF's form; None if not stated
+    staggered: whether its rows or columns are shifted against each other
+    """
 
     kind: Kind
     camera: str = ""
     exposure_s: float | None = None
     iso: int | None = None
+    cfa_px: tuple[int, int] | None = None
+    staggered: bool = False
 
     def __post_init__(self) -> None:
         refuse_impossible((self.camera,), (self.exposure_s, self.iso))
@@ -80,8 +106,9 @@ def _recognise(path: Path) -> Container:
     if not head:
         raise RawError("is empty")
     # LibRaw would go by the file's size alone here, and once took a 14 bit crop for a photograph of another shape
+    kinds = (name for first, name in OTHER_PICTURES.items() if re.match(first, head, re.S))
     raise RawError(
-        "is no photograph: allowed are raw files, JPEG, and 8 or 16 bit TIFF, PNG and PGM"
+        f"is {next(kinds, 'no photograph')}: allowed are raw files, JPEG, and 8 or 16 bit TIFF, PNG and PGM"
     )
 
 
@@ -95,13 +122,32 @@ def _recognise_tiff(path: Path) -> Container:
                 DNG_VERSION not in first.tags and first.photometric in PLAIN_PHOTOMETRICS
             )
             made = MAKE in first.tags
+            cfa = _filter_array(tiff)
     except InputError as error:
         raise RawError(str(error)) from error
     # tifffile lets through whatever a damaged tag happens to break
     except Exception as error:
         raise RawError(f"is truncated or damaged ({shown(str(error))})") from error
     named = path.suffix.lower() in (".tif", ".tiff")
-    return _described("tiff" if plain and (named or not made) else "raw", path)
+    if plain and (named or not made):
+        return _described("tiff", path)
+    cfa_px, staggered = cfa
+    return replace(_described("raw", path), cfa_px=cfa_px, staggered=staggered)
+
+
+def _filter_array(tiff: tifffile.TiffFile) -> tuple[tuple[int, int] | None, bool]:
+    """Return (rows, columns) of the filter array's cell by its tags, and whether the array is staggered.
+
+    LibRaw reads the first four places of a cell of any size as two by two.
+    """
+    pages = [page for page in tiff.pages if isinstance(page, tifffile.TiffPage)]
+    for page in pages:
+        pages += [sub for sub in page.pages or () if isinstance(sub, tifffile.TiffPage)]
+        if (size := page.tags.get(CFA_SIZE)) is not None:
+            rows, columns = size.value
+            layout = page.tags.get(CFA_LAYOUT)
+            return (rows, columns), layout is not None and layout.value != 1
+    return None, False
 
 
 def _described(kind: Kind, path: Path) -> Container:

@@ -7,6 +7,7 @@ The type of a file is recognised by its content, not by its name.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,7 @@ from labkit.photographs.processed_picture import (
     read_file,
 )
 from labkit.plan import Sensor
-from labkit.plan.sensor import pattern_of
+from labkit.plan.sensor import MONO, pattern_of
 from labkit.reading import MOST_PHOTOGRAPH_BYTES, read_bytes
 
 
@@ -54,6 +55,8 @@ def _read(path: Path, sensor: Sensor, cut: Cut) -> Photograph:
         from labkit.photographs.libraw import read_libraw
 
         photograph = read_libraw(path, container)
+        if sensor.filters_removed and len(photograph.pattern) == 2:
+            photograph = replace(photograph, pattern=MONO)
     elif is_processed(picture := read_file(path), container, sensor):
         photograph = processed_photograph(path, container, picture, sensor)
     elif picture.bits in (8, 16):
@@ -120,7 +123,9 @@ def _refuse_contradiction(photograph: Photograph, sensor: Sensor) -> None:
         for key, values in file.items()
         if (stated := getattr(sensor, key)) is not None and values != {stated}
     ]
-    if wrong:
-        raise RawError(
-            f"contradicts the plan: {'; '.join(wrong)}; leave out of [sensor] what the files state themselves"
-        )
+    if not wrong:
+        return
+    advice = "leave out of [sensor] what the files state themselves"
+    if sensor.cfa_pattern == "mono" and photograph.pattern != MONO:
+        advice += ", or add filters_removed = true if the filters were taken off the sensor"
+    raise RawError(f"contradicts the plan: {'; '.join(wrong)}; {advice}")

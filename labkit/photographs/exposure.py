@@ -28,9 +28,17 @@ SIGNAL_SHARE = 2e-3
 DARK_SHARE = 0.1
 """A dark or bias frame whose median lies this far from black to white has seen light."""
 
+CLIPPED_STEPS = 3
+"""Clipped pixels are more than this times those of the counts next to the largest, as many as this."""
+
+VISIBLE_NOISE = 1.0
+"""Counts: noise of as much spreads bright pixels over many counts, so that few are at the largest, unless that is where the
+sensor or a converter clips."""
+
 ROUNDING_STD = 1 / np.sqrt(12)
 """Standard deviation of rounding to whole counts."""
 
+MOST_NOISE_ROWS = 512
 MOST_NOISE_TILES, LEAST_NOISE_TILE_PX = 16, 16
 """Noise is looked for in up to 16 x 16 tiles, none smaller than this: a target need not fill all of them."""
 
@@ -77,7 +85,7 @@ def _plane_problem(photograph: Photograph, kind: FrameKind, where: Cut) -> str |
     if kind in ("dark", "bias"):
         lit = float(np.median(plane)) - black > DARK_SHARE * (white - black)
         return f"has seen light: it is no {kind} frame" if lit else None
-    smooth = cv2.medianBlur(plane, 3)  # hot pixels stand alone
+    smooth: Counts = cv2.medianBlur(plane, 3).astype(np.uint16)  # hot pixels stand alone
     saturated = np.count_nonzero(smooth >= white)
     bright = np.count_nonzero(smooth > (black + white) / 2)
     if saturated > max(SATURATED_LEAST * plane.size, SATURATED_SHARE * bright):
@@ -91,7 +99,39 @@ def _plane_problem(photograph: Photograph, kind: FrameKind, where: Cut) -> str |
         )  # the stripes of a panel close by differ as much as their light
     if signal < max(SIGNAL_SIGMAS * noise, SIGNAL_SHARE * (white - black)):
         return f"is black: {signal:.3g} counts of light at most, where the noise of a pixel is {noise:.2g}"
-    return None
+    return _clipped_below(white, plane, smooth) if photograph.tone is None else None
+
+
+def is_constant(photograph: Photograph) -> bool:
+    """Return whether all pixels of each place of the filter cell are equal: clipped, or without any noise."""
+    planes = (photograph.counts[plane] for plane in photograph.every_plane)
+    return all(plane.min() == plane.max() for plane in planes)
+
+
+def _clipped_below(white: float, plane: Counts, smooth: Counts) -> str | None:
+    """Return why bright pixels that are clipped below the stated white level cannot be used; None if they are not clipped.
+
+    Sensors at low gain, a black level that was subtracted, and converters clip below the level that a file states.
+    """
+    top = int(smooth.max())
+    below = f"below the white level of {white:g}: give less light"
+    if plane.min() == plane.max():
+        return f"is clipped: all its pixels are {top}, {below}"
+    at_top = smooth == top
+    bright = int(np.count_nonzero(smooth > (int(smooth.min()) + top) / 2))
+    clipped = int(np.count_nonzero(at_top))
+    near = int(np.count_nonzero((smooth < top) & (smooth >= top - CLIPPED_STEPS)))
+    few = max(SATURATED_LEAST * plane.size, SATURATED_SHARE * bright)
+    if clipped <= max(few, CLIPPED_STEPS * near):
+        return None
+    # without noise where nothing is clipped, equal pixels are a picture of few levels
+    sample = slice(None, None, -(-len(plane) // MOST_NOISE_ROWS))
+    steps = np.abs(np.diff(plane[sample].astype(np.int32), axis=1))
+    inside = ~(at_top[sample, 1:] | at_top[sample, :-1])
+    if not inside.any() or np.median(steps[inside]) / 0.6745 / np.sqrt(2) < VISIBLE_NOISE:
+        return None
+    percent = 100 * clipped / plane.size
+    return f"is clipped: {percent:.2g} % of its pixels are {top}, {below}"
 
 
 def pixel_noise(plane: Counts) -> float:

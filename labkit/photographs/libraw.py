@@ -54,7 +54,13 @@ def captured_stderr() -> Iterator[list[str]]:
 
 
 def read_libraw(path: Path, container: Container) -> Photograph:
-    """Decode a camera's raw file. Raises RawError for a damaged file or one without a mosaic."""
+    """Decode a camera's raw file. Raises RawError for a damaged file or one without a mosaic of cells of 2 x 2."""
+    if container.staggered:
+        raise RawError(
+            "has a colour filter array of staggered rows or columns; labkit cannot use it yet"
+        )
+    if container.cfa_px is not None:
+        _refuse_other_cells(container.cfa_px)
     with captured_stderr() as printed:
         try:
             with opened_raw(path) as raw:
@@ -84,13 +90,12 @@ def _decoded(raw: rawpy.RawPy, container: Container) -> Photograph:
     pattern: tuple[str, ...] = MONO
     black = np.full((2, 2), levels[0])
     if raw.num_colors != 1:
-        if raw.raw_pattern is None or raw.raw_pattern.shape != (2, 2):
-            raise RawError(
-                "has a colour filter array that does not repeat every 2x2 pixels; labkit cannot use it yet"
-            )
+        if (cell := raw.raw_pattern) is None:
+            raise RawError("has a colour filter array that LibRaw does not know")
+        _refuse_other_cells(cell.shape)
         colours = raw.color_desc.decode()
-        pattern = tuple("".join(colours[index] for index in row) for row in raw.raw_pattern)
-        black = levels[raw.raw_pattern]
+        pattern = tuple("".join(colours[index] for index in row) for row in cell)
+        black = levels[cell]
     return Photograph(
         np.array(image),
         black,
@@ -100,3 +105,12 @@ def _decoded(raw: rawpy.RawPy, container: Container) -> Photograph:
         positive_number(raw.other.shutter_speed) or container.exposure_s,
         whole_number(raw.other.iso_speed) or container.iso,
     )
+
+
+def _refuse_other_cells(cell_px: tuple[int, ...]) -> None:
+    """Raise RawError for a filter array whose cell is not 2 x 2."""
+    if cell_px != (2, 2):
+        raise RawError(
+            f"has a colour filter array that repeats every {'x'.join(map(str, cell_px))} pixels, and not every 2x2; "
+            "labkit cannot use it yet"
+        )

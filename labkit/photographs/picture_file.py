@@ -135,8 +135,25 @@ ADAM7 = (
 """Passes of an interlaced PNG: first row, first column, steps down and right."""
 
 GREY, TRUE_COLOUR, PALETTE = 0, 2, 3
+GREY_ALPHA, COLOUR_ALPHA = 4, 6
+TRANSPARENT = "has transparency: save it without, as grey or RGB"
+
 WHITE_IS_ZERO = 0
 UNCOMPRESSED = 1
+PLANES_APART = 2
+BLENDED, UNBLENDED = 1, 2
+"""Kinds of a TIFF's extra samples that are transparency, as premultiplied and as plain alpha."""
+
+OTHER_COLOURS = {
+    3: "a palette",
+    4: "a mask",
+    5: "the inks of CMYK",
+    6: "YCbCr",
+    8: "CIE L*a*b*",
+    9: "ICC L*a*b*",
+    10: "ITU L*a*b*",
+}
+"""Colours of a TIFF that are not used, by PhotometricInterpretation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -256,10 +273,12 @@ def _read_png(content: bytes, most_pixels: int, processed: bool) -> Picture:
         header[9],
     )
     _check_size((rows, cols), most_pixels)
-    if colours not in (GREY, TRUE_COLOUR, PALETTE) or any(
+    if colours in (GREY_ALPHA, COLOUR_ALPHA) or any(
         name == b"tRNS" for name, _, _ in chunks
     ):
-        raise InputError("has colours or transparency that cannot be used: allowed is grey")
+        raise InputError(TRANSPARENT)
+    if colours not in (GREY, TRUE_COLOUR, PALETTE):
+        raise InputError(f"{DAMAGED}: its header states colours of type {colours}")
     if colours == TRUE_COLOUR and bits == 16 and not processed:
         raise InputError(f"has colours of {bits} bit: allowed is grey")
     _check_pixels(header, b"".join(data for name, data, _ in chunks if name == b"IDAT"))
@@ -353,14 +372,17 @@ def _read_tiff(file: BinaryIO, most_pixels: int, processed: bool) -> Picture:
             bits = int(page.bitspersample)
             if page.compression != UNCOMPRESSED:
                 file.seek(0)
-                numbers = _decoded("TIFF", file.read(), page.shape, bits)
+                numbers = _decoded("TIFF", file.read(), _interleaved(page), bits)
                 return Picture(numbers, bits, 2**bits - 1)
             check_strips(tiff)
             if sum(page.databytecounts) < page.nbytes:
                 raise InputError(
                     f"{DAMAGED}: {sum(page.databytecounts)} of {page.nbytes} bytes are there"
                 )
-            return Picture(page.asarray(), bits, 2**bits - 1)
+            numbers = page.asarray()
+            if _interleaved(page) != page.shape:
+                numbers = np.moveaxis(numbers, 0, -1)
+            return Picture(numbers, bits, 2**bits - 1)
     except (InputError, OSError):
         raise
     except (
@@ -375,7 +397,12 @@ def _check_tiff(
     """Raise InputError for a TIFF that declares unsupported properties."""
     if len(page.shape) < 2:
         raise InputError(DAMAGED)
-    _check_size(page.shape, most_pixels)
+    shape = _interleaved(page)
+    _check_size(shape, most_pixels)
+    if page.photometric in OTHER_COLOURS:
+        raise InputError(
+            f"holds colours as {OTHER_COLOURS[page.photometric]}: save it as grey or RGB"
+        )
     if page.photometric == WHITE_IS_ZERO:
         raise InputError(
             "counts darkness (MinIsWhite): allowed are numbers that grow with light"
@@ -385,16 +412,27 @@ def _check_tiff(
     if page.dtype not in (np.uint8, np.uint16) or page.bitspersample not in (8, 16):
         what = (
             f"{page.bitspersample} bit"
-            if page.dtype in (np.uint8, np.uint16)
+            if page.dtype in (np.bool_, np.uint8, np.uint16)
             else str(page.dtype)
         )
-        raise InputError(f"holds {what} numbers: allowed are 8 and 16 bit integers")
-    if page.shape[2:] not in ((), (3,)) or (
-        page.ndim == 3 and page.bitspersample != 8 and not processed
-    ):
         raise InputError(
-            f"has colours, {' × '.join(map(str, page.shape))} numbers: allowed is grey"
+            f"holds {what} numbers: allowed are 8 and 16 bit integers without sign"
         )
+    if {*page.extrasamples} & {BLENDED, UNBLENDED}:
+        raise InputError(TRANSPARENT)
+    if shape[2:] not in ((), (3,)):
+        raise InputError(
+            f"has {' × '.join(map(str, shape))} numbers: allowed are one a pixel (grey) and three (RGB)"
+        )
+    if len(shape) == 3 and page.bitspersample != 8 and not processed:
+        raise InputError(f"has colours of {page.bitspersample} bit: allowed is grey")
+
+
+def _interleaved(page: tifffile.TiffPage) -> tuple[int, ...]:
+    """Return the shape of a page's numbers, colours last: (rows, columns) or (rows, columns, colours)."""
+    if page.planarconfig == PLANES_APART and page.samplesperpixel > 1 and page.ndim == 3:
+        return (*page.shape[1:], page.shape[0])
+    return tuple(page.shape)
 
 
 def _decoded(name: str, content: bytes, shape: tuple[int, ...], bits: int) -> Numbers:

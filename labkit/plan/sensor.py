@@ -215,6 +215,10 @@ class Sensor(Table):
     cfa_pattern: Annotated[str, matches("mono|RGB|[A-Z]{4}", CFA)] | None = None
     """The 2 × 2 cell of the colour filter array, row by row, such as `"RGGB"`; `"mono"` for a sensor without filters; `"RGB"`
     for pictures in which every pixel has all three colours. Default: as the files state."""
+    filters_removed: bool = False
+    """Whether the colour filters were taken off the sensor, whose files state them still: with `cfa_pattern = "mono"`
+    all pixels are then one channel.
+    """
     black_level: Annotated[Number, AfterValidator(Allowed(0, 65535))] | None = None
     """Count without light. Default: as the files state."""
     white_level: Annotated[Number, AfterValidator(Allowed(1, 65535))] | None = None
@@ -276,4 +280,10 @@ class Sensor(Table):
             raise problem(
                 f"white_level = {self.white_level:g}: allowed is above black_level = {self.black_level:g}"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _mono_without_filters(self) -> Sensor:
+        if self.filters_removed and self.cfa_pattern != "mono":
+            raise problem('filters_removed = true: needs cfa_pattern = "mono" beside it')
         return self

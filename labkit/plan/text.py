@@ -6,6 +6,7 @@ import difflib
 import json
 import re
 import tomllib
+import unicodedata
 from collections.abc import Iterable, Iterator, Mapping
 from numbers import Integral, Real
 from pathlib import Path
@@ -132,12 +133,12 @@ def _place(words: str, text: str) -> str:
     if not at or int(at[1]) > len(lines):
         return words
     line = lines[int(at[1]) - 1].strip()
-    meant = plain_number(line.partition("=")[2].partition("#")[0])
+    key, _, value = line.partition("=")
     reason = words[: at.start()]  # it may repeat a key, however long
     cut = (
         reason if len(reason) <= 2 * LONGEST_VALUE else f"{reason[: 2 * LONGEST_VALUE]}..."
     )
-    return f"{cut}{at[0]}: {shown(line)}" + (f"; write {meant}" if meant else "")
+    return f"{cut}{at[0]}: {shown(line)}{_advice(value.partition('#')[0], key.strip())}"
 
 
 def _pairs(table: Mapping[str, Any]) -> list[str]:
@@ -181,18 +182,102 @@ def message(
     return joined([*problems], len(details) - len(named))
 
 
-def plain_number(text: str) -> str | None:
-    """Return the number meant by a fraction, an engraved f-number or a decimal comma; None for other text."""
+SEPARATORS = str.maketrans(
+    {
+        "\u2212": "-",
+        "\u066b": ".",
+        "\u066c": ",",
+        "\u02bc": "'",
+        "\u2018": "'",
+        "\u2019": "'",
+        "\u00b4": "'",
+        "`": "'",
+        "_": "'",
+    }
+)
+"""Minus, Arabic separators and apostrophes of any kind, as they are on a keyboard."""
+
+NUMBER = re.compile(r"([+-]?)(\d[\d., ']{0,40})")
+GROUPED = re.compile(r"\d{1,3}(?:[., ']\d{2,3})*[., ']\d{3}")
+
+LENGTHS_MM = {
+    "nm": 1e-6,
+    "um": 1e-3,
+    "\u03bcm": 1e-3,
+    "mm": 1.0,
+    "cm": 10.0,
+    "dm": 100.0,
+    "m": 1000.0,
+    "in": 25.4,
+    "inch": 25.4,
+    '"': 25.4,
+    "ft": 304.8,
+}
+
+
+def numbers_meant(text: str, unit: str = "") -> tuple[str, ...]:
+    """Return what a number in another notation may mean, the likeliest first; empty for other text.
+
+    Understood are fractions, engraved f-numbers, decimal commas, thousands that are set apart, digits of any script, and units.
+    "1,500" may be 1.500 or 1500.
+
+    Parameters
+    ----------
+    text : as somebody wrote it
+    unit : of the numbers returned; lengths in other units are converted
+    """
+    if len(text) > LONGEST_VALUE:
+        return ()
+    text = unicodedata.normalize("NFKC", text).translate(SEPARATORS).strip()
+    text = "".join(str(unicodedata.decimal(c)) if c.isdecimal() else c for c in text)
     if fraction := re.fullmatch(
-        r"\s*(\d{1,9}(?:\.\d{1,9})?)\s*/\s*(\d{1,9}(?:\.\d{1,9})?)\s*s?\s*", text
+        r"(\d{1,9}(?:\.\d{1,9})?)\s*/\s*(\d{1,9}(?:\.\d{1,9})?)\s*s?", text
     ):
         over = float(fraction[1])
         under = float(fraction[2])
-        return f"{over / under:.6g}" if under else None
-    if engraved := re.fullmatch(r"\s*[fF]\s*[/:]?\s*(\d{1,9}(?:[.,]\d{1,9})?)\s*", text):
-        return engraved[1].replace(",", ".")
-    comma = re.fullmatch(r"\s*([+-]?\d{1,9}),(\d{1,9})\s*", text)
-    return f"{comma[1]}.{comma[2]}" if comma else None
+        return (f"{over / under:.6g}",) if under else ()
+    text = re.sub(r"^[fF]\s*[/:]?\s*(?=\d)", "", text)
+    stated = re.search(r"(?<=[\d.,])\s*([^\W\d_]+|\")$", text)
+    if stated is None:
+        return _readings(text)
+    readings = _readings(text[: stated.start()])
+    if stated[1] == unit:
+        return readings
+    if stated[1] not in LENGTHS_MM or unit not in LENGTHS_MM:
+        return ()
+    times = LENGTHS_MM[stated[1]] / LENGTHS_MM[unit]
+    return tuple(f"{float(one) * times:.10g}" for one in readings)
+
+
+def _readings(text: str) -> tuple[str, ...]:
+    """Return the numbers that digits with points, commas, spaces and apostrophes between them may mean."""
+    number = NUMBER.fullmatch(text.strip())
+    if number is None:
+        return ()
+    sign, body = number.groups()
+    whole, mark, decimals = body, "", ""
+    if last := re.search(r"[.,](?=\d*$)", body):
+        whole, mark, decimals = body[: last.start()], last[0], body[last.end() :]
+    readings = list[str]()
+    apart = mark == "" or mark not in whole
+    if apart and (whole.isdecimal() or GROUPED.fullmatch(whole)):
+        # of a number that is grouped with points a comma is decimal, and the other way round
+        digits = re.sub(r"\D", "", whole)
+        readings.append(f"{digits}.{decimals}" if decimals else digits)
+    if (
+        mark
+        and GROUPED.fullmatch(body)
+        and len({*re.sub(r"\d", "", body)}) == 1
+        and body[0] != "0"
+    ):
+        readings.append(re.sub(r"\D", "", body))
+    return tuple(sign.removeprefix("+") + one for one in readings)
+
+
+def _advice(text: str, key: str) -> str:
+    """Return "; write NUMBER" for a number that is written in another notation or unit than its key's, else nothing."""
+    meant = numbers_meant(text, key.rpartition("_")[2])
+    return f"; write {' or '.join(meant)}" if meant else ""
 
 
 def dotted(steps: Iterable[Step]) -> str:
@@ -227,8 +312,8 @@ def _problem(
             reason = f"allowed is {_needs(loc, model) or expected}"
     if loc == ("channel",) and isinstance(value, Mapping):
         return "[channel] is one table: write [[channel]], with double brackets, once for each channel"
-    meant = plain_number(value) if isinstance(value, str) else None
-    return f"{where} = {shown(value)}: {reason}" + (f"; write {meant}" if meant else "")
+    advice = _advice(value, where) if isinstance(value, str) else ""
+    return f"{where} = {shown(value)}: {reason}{advice}"
 
 
 def _whole_field(

@@ -81,24 +81,44 @@ def doubled(events: Sequence[Event], journal: Path) -> tuple[str, ...]:
     return tuple(again)
 
 
-def distinct(frames: Sequence[Frame]) -> tuple[tuple[Frame, ...], tuple[Finding, ...]]:
+def distinct(
+    frames: Sequence[Frame], is_constant: Callable[[Frame], bool]
+) -> tuple[tuple[Frame, ...], tuple[Finding, ...]]:
     """Return each photograph once, whatever the names of its files, and the files left out.
 
-    Noise never repeats, so equal files are one photograph and count once in every error.
-    Raises SessionError for a photograph with two ranges or two kinds.
+    Noise never repeats, so equal files are one photograph and count once in every error; unless they show no noise.
+
+    Parameters
+    ----------
+    frames : of a session
+    is_constant : whether all pixels of a photograph are equal; asked of equal files only
+
+    Raises
+    ------
+    SessionError : a photograph has two ranges or two kinds, or lit photographs are clipped
     """
     first: dict[str, Frame] = {}
+    constant = set[str]()
     again = []
     for frame in frames:
         kept = first.setdefault(frame.sha256, frame)
+        if kept is frame:
+            continue
+        if frame.sha256 in constant or is_constant(frame):
+            if frame.kind in ("target", "flat"):
+                raise SessionError(
+                    f"{kept.file} and {frame.file} are clipped: all their pixels are equal; take them anew with less light"
+                )
+            constant.add(frame.sha256)
+            continue
         if (kept.kind, kept.range_mm) != (frame.kind, frame.range_mm):
             raise SessionError(
                 f"{kept.file} and {frame.file} are the same photograph: it is {_said(kept)} or {_said(frame)}, not both; "
                 "import the session anew with the right one"
             )
-        if kept is not frame:
-            again.append(found("same-photograph", file=frame.file, same_as=kept.file))
-    return tuple(first.values()), tuple(again)
+        again.append(found("same-photograph", file=frame.file, same_as=kept.file))
+    copies = {finding.numbers["file"] for finding in again}
+    return tuple(one for one in frames if one.file not in copies), tuple(again)
 
 
 def _said(frame: Frame) -> str:

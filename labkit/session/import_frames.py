@@ -27,7 +27,7 @@ from labkit.photographs.photograph import WHOLE, Cut, Photograph
 from labkit.plan import Plan
 from labkit.plan.fields import LONGEST_PATH, joined
 from labkit.plan.sensor import MONO
-from labkit.plan.text import plain_number
+from labkit.plan.text import numbers_meant
 from labkit.reading import read_text
 from labkit.session.making import made_beside, refuse_existing
 from labkit.session.session import Session
@@ -264,11 +264,21 @@ def _range(text: str, plan: Plan) -> float | None:
         range_mm = math.nan
     if not (math.isfinite(range_mm) and range_mm > focal_mm):
         words = f"allowed is nothing, or a number of mm, not of m, above the focal length, {focal_mm:g} mm"
-        meant = plain_number(text)
-        raise DataError(
-            f"range_mm {shown(text)}: {words}" + (f"; write {meant}" if meant else "")
-        )
+        raise DataError(f"range_mm {shown(text)}: {words}{_advice(text, focal_mm)}")
     return range_mm
+
+
+def _advice(text: str, focal_mm: float) -> str:
+    """Return what to write for a range in another notation or in metres, if that is allowed; else nothing."""
+    readings = numbers_meant(text, "mm")
+    if allowed := [one for one in readings if float(one) > focal_mm]:
+        return f"; write {' or '.join(allowed)}"
+    in_metres = [one for one in readings if 1000 * float(one) > focal_mm]
+    return (
+        f"; write {1000 * float(in_metres[0]):.10g} for {in_metres[0]} m"
+        if in_metres
+        else ""
+    )
 
 
 def _check_photographs(

@@ -89,6 +89,39 @@ def best(found: Found) -> Optimum:
     return found.best
 
 
+PIXELS = {
+    "hot": {(40, 41): 1600.0},
+    "dead": {(20, 30): -900.0, (50, 12): -900.0},
+    "track": {(30 + k, 30 + k): 1200.0 for k in range(6)},
+    "warm": {(25, 26): 400.0},
+}
+"""Counts that pixels have more than light gave them."""
+
+
+@pytest.mark.parametrize("kind", PIXELS)
+def test_a_pixel_that_no_lens_makes_is_left_out_and_moves_nothing(
+    views: Views, best: Optimum, kind: str
+) -> None:
+    counts = views.frames[0].counts.copy()
+    for place, more in PIXELS[kind].items():
+        counts[place] = max(counts[place] + more, 0.0)
+    spoiled = replace(views, frames=(replace(views.frames[0], counts=counts),))
+    cleaned = searched(spoiled)
+    assert {(one.row, one.column) for one in cleaned.strays} == {*PIXELS[kind]}
+    assert cleaned.best.verdict.accepted
+    # six pixels of 3,000 less
+    np.testing.assert_allclose(cleaned.best.waves, best.waves, atol=0.2 * std(best).min())
+
+
+def test_no_optimum_of_clean_photographs_shows_a_stray_pixel(
+    views: Views, found: Found
+) -> None:
+    assert found.strays == ()
+    wrong = searched(views, starts=(WRONG,), deep=False)
+    assert not wrong.best.verdict.accepted
+    assert wrong.strays == ()
+
+
 @pytest.mark.parametrize("seed", [2, 3])
 def test_from_nothing_every_mode_ends_within_four_standard_errors(seed: int) -> None:
     optimum = searched(seen(seed)).best

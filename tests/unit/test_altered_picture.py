@@ -151,6 +151,42 @@ def test_a_sharpened_picture_is_told(
     assert "were sharpened" in found.notes[0]
 
 
+@pytest.mark.parametrize("period", [2, 4, 8, 0])
+def test_offsets_of_rows_and_columns_are_not_called_sharpening(
+    tmp_path: Path, period: int
+) -> None:
+    rng = np.random.default_rng(5)
+    rows, columns = rng.normal(0, 3, SIDE), rng.normal(0, 3, SIDE)
+    if period:
+        rows, columns = np.resize(rows[:period], SIDE), np.resize(columns[:period], SIDE)
+    picture = photograph() + rows[:, None] + columns
+    notes = alterations(grey(tmp_path, picture)).notes
+    assert not any("sharpened" in note for note in notes)
+
+
+@pytest.mark.parametrize(
+    ("rows", "columns", "checks", "words"),
+    [
+        (3.0, 0.0, 0.0, "even and odd rows by 6;"),
+        (0.0, 2.0, 0.0, "even and odd columns by 4;"),
+        (0.0, 0.0, 2.0, "the two diagonals of each four pixels by 4;"),
+        (3.0, 2.0, 2.0, "rows by 6, even and odd columns by 4, the two diagonals"),
+        (0.3, 0.3, 0.3, ""),
+    ],
+)
+def test_black_levels_that_differ_are_named_with_their_amount(
+    tmp_path: Path, rows: float, columns: float, checks: float, words: str
+) -> None:
+    sign = (-1.0) ** np.arange(SIDE)
+    offsets = rows * sign[:, None] + columns * sign + checks * sign[:, None] * sign
+    noise = np.random.default_rng(6).normal(0, 4, (SIDE, SIDE))
+    counts = np.rint(300 + offsets + noise).astype(np.uint16)
+    assert cv2.imwrite(str(tmp_path / "a.png"), counts)
+    notes = alterations(read_photograph(tmp_path / "a.png", GREY)).notes
+    assert len(notes) == (1 if words else 0)
+    assert words in "".join(notes)
+
+
 def test_the_overshoot_of_an_edge_is_that_of_the_unsharp_mask() -> None:
     # a step under one Gaussian, less itself under two
     x = np.arange(100.0)

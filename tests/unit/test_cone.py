@@ -8,8 +8,14 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from labkit.estimation.climb import NoisePrior, Problem, Start, State, maximize
-from labkit.estimation.expansion import expand, free_f_number, with_optics_about
+from labkit.estimation.climb import NoisePrior, Problem, Start, State, maximize, sane
+from labkit.estimation.expansion import (
+    Opened,
+    camera_prior,
+    expand,
+    free_f_number,
+    with_optics_about,
+)
 from labkit.estimation.likelihood import FrameData
 from labkit.estimation.settings import SETTINGS
 from labkit.imaging.brightness import Brightness
@@ -257,3 +263,34 @@ def test_no_step_leads_to_a_pupil_that_is_clear_nowhere(
     step[expansion.camera.start + 1] = shift - begun
     assert (expansion.optics_after(step).rim.area > 0) == clear
     assert expansion.sane_after(step, TRUTH) == clear
+
+
+def test_a_step_to_a_pupil_without_a_clear_part_is_refused_without_a_warning(
+    model: ForwardModel,
+) -> None:
+    cut = replace(OPTICS, parts=(CatsEye(0.5, 0.0, 0.0), Obstruction(0.3)))
+    problem = Problem(
+        with_optics_about(model, cut, TRUTH), photographed(model).frames, PRIOR
+    )
+    position = Opened(problem, problem.drawn(TRUTH), TRUTH, *camera_prior(cut, 0.03))
+    change = np.zeros_like(position.expansion.gradient)
+    change[position.expansion.camera] = 1.0, 0.0, -0.7, 0.45, 0.0
+    assert position.moved(change).objective == -np.inf
+    assert position.foreseen(change) is None
+
+
+@pytest.mark.parametrize(
+    ("scale", "ambient", "unevenness"), [(1e160, 0, 0), (1, -1e200, 0), (1, 0, 1e160)]
+)
+def test_light_beyond_all_photographs_is_implausible(
+    scale: float, ambient: float, unevenness: float
+) -> None:
+    begin = replace(TRUTH, unevenness=np.zeros(1))
+    far = replace(
+        begin,
+        scales=scale * begin.scales,
+        ambients=ambient + begin.ambients,
+        unevenness=np.array([unevenness]),
+    )
+    assert sane(begin, begin)
+    assert not sane(far, begin)

@@ -77,6 +77,24 @@ def test_time_left_cannot_be_taken_for_the_time_so_far(
     assert work.times() == "10 min so far"
 
 
+def test_an_expected_time_is_counted_down_until_steps_show_a_pace(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    clock = [0.0]
+    monkeypatch.setattr("labkit.pace.time.monotonic", lambda: clock[0])
+    work = Work("fitting", expected_s=180.0)
+    work.report(0, 0, "searching from nothing")
+    clock[0] = 10.0
+    usual = "the 3 min that earlier ones took here"
+    assert work.times() == f"10 s so far, about 2 min 50 s left of {usual}"
+    clock[0] = 240.0
+    assert work.times() == f"4 min so far, more than {usual}"
+    work.report(0, 12, "fitting")
+    clock[0] = 250.0
+    work.report(1, 12, "fitting")
+    assert work.times() == "4 min 10 s so far, about 1 min 50 s left"
+
+
 class Page:
     """An observer that holds, as the operator's page does after a press of its button."""
 

@@ -17,9 +17,13 @@ def frame(
     )
 
 
+def noisy(frame: Frame) -> bool:
+    return False
+
+
 def test_copies_of_a_photograph_count_once_and_are_named() -> None:
     one, other = frame("a.dng", "1"), frame("b.dng", "2")
-    kept, again = distinct([one, other, frame("c.dng", "1"), frame("d.dng", "1")])
+    kept, again = distinct([one, other, frame("c.dng", "1"), frame("d.dng", "1")], noisy)
     assert kept == (one, other)
     assert [finding.numbers for finding in again] == [
         {"file": name, "same_as": "a.dng"} for name in ("c.dng", "d.dng")
@@ -39,4 +43,19 @@ def test_copies_of_a_photograph_count_once_and_are_named() -> None:
 )
 def test_a_photograph_that_stands_for_two_is_refused(again: Frame, says: str) -> None:
     with pytest.raises(SessionError, match=says):
-        distinct([frame("a.dng", "1"), again])
+        distinct([frame("a.dng", "1"), again], noisy)
+
+
+def constant(frame: Frame) -> bool:
+    return True
+
+
+def test_flats_without_noise_are_clipped_and_no_copies() -> None:
+    flats = [frame("a.dng", "1", "flat"), frame("b.dng", "1", "flat", range_mm=3100.0)]
+    with pytest.raises(SessionError, match=r"a\.dng and b\.dng are clipped"):
+        distinct(flats, constant)
+
+
+def test_darks_without_noise_are_all_kept() -> None:
+    darks = tuple(frame(f"{k}.dng", "1", "dark", None) for k in range(3))
+    assert distinct(darks, constant) == (darks, ())

@@ -37,3 +37,29 @@ def test_a_target_of_wrong_light_is_refused_whatever_is_around(
 ) -> None:
     seen = photographed(target=target, window=2000.0)
     assert words in (exposure_problem(seen, "target", "RGB", PLACE) or "")
+
+
+@pytest.mark.parametrize("clipped_share", [0.3, 1.0])
+@pytest.mark.parametrize("pattern", [("M",), ("RG", "GB")])
+def test_light_clipped_below_the_stated_white_level_is_named(
+    clipped_share: float, pattern: tuple[str, ...]
+) -> None:
+    rng = np.random.default_rng(2)
+    ramp = np.linspace(0.0, 2400 / (1 - 0.99 * clipped_share), 200) + 500
+    if clipped_share == 1.0:
+        ramp[:] = 9000.0
+    counts = np.clip(ramp + rng.normal(0, 8, (160, 200)), 0, 2600).astype(np.uint16)
+    seen = Photograph(counts, np.full((2, 2), 256.0), 4095.0, pattern)
+    problem = exposure_problem(seen, "flat", "M" if pattern == ("M",) else "RGB") or ""
+    assert "is clipped" in problem
+    assert "are 2600, below the white level of 4095" in problem
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.4, 1.5, 20.0])
+def test_an_even_light_of_any_noise_is_not_called_clipped(noise: float) -> None:
+    rng = np.random.default_rng(3)
+    light = np.full((160, 200), 100.0)
+    light[40:120, 40:160] = 2000.0
+    counts = np.clip(light + rng.normal(0, noise, light.shape), 0, 4095).astype(np.uint16)
+    seen = Photograph(counts, np.full((2, 2), 20.0), 4095.0, ("M",))
+    assert exposure_problem(seen, "target", "M") is None

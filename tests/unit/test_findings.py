@@ -22,6 +22,8 @@ from labkit.findings import (
     flats_partly_unlit,
     found,
     model_incomplete_everywhere,
+    pixels_left_out,
+    plan_contradicted,
     residuals_not_noise,
     stated_model_moves,
     two_camps,
@@ -104,6 +106,7 @@ SAMPLES = [
     ),
     found("gain-not-measured"),
     found("results-corrupt", aside="results/latest/results.json.corrupt"),
+    pixels_left_out({(70, 93): {"a.dng": 122.4, "b.dng": -9.0}}),
     found(
         "fit-left-out",
         note="G at 3010 mm is left out: FloatingPointError: overflow",
@@ -123,15 +126,12 @@ SAMPLES = [
     found("defocus-sign-open", Key(None, "G")),
     found("pupil-magnification-at-bound", least=0.05, most=20.0),
     found("pupil-magnification-undetermined", pupil_magnification_std=0.3),
-    found(
-        "plan-contradicted",
-        None,
-        {"agreed": "550.6 ± 1.2 nm", "others": "target.size_mm"},
-        key="channel.wavelength_nm of G",
-        stated=450.0,
-        agrees=Uncertain(550.6, 1.2, "nm").as_json(),
-        probability=0.99,
-        next=["target.size_mm"],
+    plan_contradicted(
+        "channel.wavelength_nm of G",
+        450.0,
+        Uncertain(550.6, 1.2, "nm"),
+        0.99,
+        ["target.size_mm"],
     ),
     found("cones-contradict-one-lens", cone_relative_error=0.02),
     found("modes-differ-between-ranges"),
@@ -359,3 +359,31 @@ def test_ranges_and_combinations_are_told_in_words() -> None:
     assert undetermined(GREEN, ["defocus", "mode 11"]).text.startswith(
         "G at 3200 mm: the frames do not determine defocus, mode 11;"
     )
+
+
+def test_pixels_that_are_left_out_are_named_by_place_and_photograph() -> None:
+    files = {f"{k}.dng": 9.0 for k in range(5)}
+    many = {(row, 7): {"a.dng": 30.0} for row in range(4)}
+    assert pixels_left_out({(70, 93): {"a.dng": 122.4, "b.dng": -9.0}}).text.startswith(
+        "pixel (70, 93) of a.dng and b.dng: beyond what the target and any lens can show, by up to 122"
+    )
+    assert pixels_left_out({(1, 2): files}).text.startswith(
+        "pixel (1, 2) of 0.dng and 4 more: "
+    )
+    assert "pixel (2, 7) of a.dng, 1 more: beyond" in pixels_left_out(many).text
+
+
+def test_a_mistake_in_the_plan_is_one_sentence_with_three_others_at_most_each_once() -> (
+    None
+):
+    keys = ["lens.f_number", *["the ranges", "target.size_mm"] * 4, "sensor.pixel_pitch_um"]
+    keys += ["lens.focal_length_mm", "lens.f_number"]
+    finding = plan_contradicted("lens.f_number", 2.0, Uncertain(2.81, 0.02), 0.9999, keys)
+    assert finding.text == (
+        "the photographs contradict the plan: lens.f_number = 2 is wrong with a probability of more than 99.5 %, the results "
+        "assume 2.810 ± 0.020; correct it and fit again; if it is right, check the ranges, target.size_mm or "
+        "sensor.pixel_pitch_um"
+    )
+    sure = plan_contradicted("lens.f_number", 2.0, Uncertain(2.81, 0.02), 0.93, keys[:2])
+    assert "a probability of 93 %" in sure.text
+    assert sure.text.endswith("if it is right, check the ranges")

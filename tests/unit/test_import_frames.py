@@ -190,6 +190,12 @@ def test_csv_and_plan_of_a_spreadsheet_with_byte_order_marks_are_read(
             "range_mm '3000,5': allowed is nothing, or a number of mm, not of m, above the focal length",
         ),
         ('target.dng,target,"3000,5"', "70 mm; write 3000.5"),
+        ('target.dng,target,"3,000"', "70 mm; write 3000"),
+        ("target.dng,target,3.000", "70 mm; write 3000"),
+        ('target.dng,target,"3.000,0"', "70 mm; write 3000.0"),
+        ("target.dng,target,3 000 mm", "70 mm; write 3000"),
+        ('target.dng,target,"3,2"', "70 mm; write 3200 for 3.2 m"),
+        ('target.dng,target,"0,03"', "70 mm"),
     ],
     ids=lambda value: value[:30],
 )

@@ -17,6 +17,7 @@ LAYERS = {
             "findings",
             "reading",
             "files",
+            "learnt_paces",
             "arrays",
             "npz",
             "typed_file",

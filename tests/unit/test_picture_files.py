@@ -19,6 +19,8 @@ from labkit.photographs.picture_file import PNG, read_picture
 
 DATA = np.random.default_rng(3).integers(0, 65536, (13, 21)).astype(np.uint16)
 
+GREY = (DATA // 256).astype(np.uint8)
+
 
 def chunk(name: bytes, data: bytes) -> bytes:
     return (
@@ -91,6 +93,21 @@ def test_either_order_of_bytes_is_read(
     np.testing.assert_array_equal(read_picture(tmp_path / "a.tif").numbers, DATA)
 
 
+@pytest.mark.parametrize("compression", [None, "zlib"])
+@pytest.mark.parametrize("depth", [8, 16])
+def test_colours_in_planes_apart_are_read(
+    tmp_path: Path, compression: str | None, depth: int
+) -> None:
+    colours = np.dstack([DATA, DATA[::-1], DATA[:, ::-1]])
+    if depth == 8:
+        colours = (colours // 256).astype(np.uint8)
+    apart = np.moveaxis(colours, -1, 0)
+    tags = {"photometric": "rgb", "planarconfig": "separate", "compression": compression}
+    (tmp_path / "a.tif").write_bytes(tiff(apart, **tags))
+    picture = read_picture(tmp_path / "a.tif", processed=True)
+    np.testing.assert_array_equal(picture.numbers, colours)
+
+
 def test_a_png_of_one_bit_is_black_and_white(tmp_path: Path) -> None:
     Image.fromarray(DATA % 2 == 1).save(tmp_path / "a.png")
     picture = read_picture(tmp_path / "a.png")
@@ -144,13 +161,24 @@ def test_a_declared_size_is_looked_at_first(
     ("content", "words"),
     [
         (png(9, 9, bytes(80)), "is truncated: 80 of 90 bytes are there"),
-        (png(2, 2, bytes(16), bits=8, colours=4), "has colours or transparency"),
+        (png(2, 2, bytes(16), bits=8, colours=4), "has transparency"),
         (png(2, 2, bytes(30), bits=16, colours=2), "has colours of 16 bit"),
-        (png(2, 2, bytes(6), chunk(b"tRNS", b"\0\0")), "has colours or transparency"),
+        (png(2, 2, bytes(6), chunk(b"tRNS", b"\0\0")), "has transparency"),
         (png(9, 9, bytes(90))[:-1], "is truncated or damaged"),
         (tiff(DATA, photometric="miniswhite"), "counts darkness"),
         (tiff(DATA.astype(np.float32)), "holds float32 numbers"),
-        (tiff(np.dstack([DATA] * 3)), "has colours, 13 × 21 × 3 numbers"),
+        (tiff(np.dstack([DATA] * 3)), "has colours of 16 bit"),
+        (tiff(np.dstack([DATA] * 4), extrasamples=["unassalpha"]), "has transparency"),
+        (tiff(np.dstack([DATA] * 4), extrasamples=["assocalpha"]), "has transparency"),
+        (tiff(np.dstack([DATA] * 4), extrasamples=[0]), "has 13 × 21 × 4 numbers"),
+        (tiff(np.dstack([GREY] * 4), photometric="separated"), "as the inks of CMYK"),
+        (tiff(np.dstack([GREY] * 3), photometric="cielab"), "as CIE L*a*b*"),
+        (
+            tiff(GREY, photometric="palette", colormap=np.zeros((3, 256), np.uint16)),
+            "as a palette",
+        ),
+        (tiff(DATA.astype(np.int16)), "holds int16 numbers"),
+        (tiff(DATA > 9, photometric="minisblack"), "holds 1 bit numbers"),
         (tiff(np.stack([DATA] * 4), photometric="minisblack"), "holds 4 pictures"),
         (tiff(DATA, compression="zlib")[:-20], "is truncated or damaged"),
     ],

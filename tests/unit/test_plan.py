@@ -20,6 +20,7 @@ from labkit.imaging.parts.rim import USUAL_SHARE
 from labkit.optics.spectrum import WIDEST_SPECTRUM, Spectrum
 from labkit.plan import Plan
 from labkit.plan.channel import WIDEST_LIGHT
+from labkit.plan.text import numbers_meant
 from tests.plans import IPAD, PORTRAIT, RED_AND_GREEN, plan_text, simulated
 
 LEAST = plan_text(PORTRAIT, RED_AND_GREEN, {"target": {"order": 5, "size_mm": 46.8}})
@@ -466,3 +467,40 @@ def test_a_plan_that_is_no_text_says_where(tmp_path: Path) -> None:
     (tmp_path / "plan.toml").write_bytes(b"[lens]\n\xff")
     with pytest.raises(PlanError, match=r"plan\.toml: not UTF-8 at byte 7"):
         Plan.load(tmp_path / "plan.toml")
+
+
+@pytest.mark.parametrize(
+    ("written", "meant"),
+    [
+        ("1,500", ("1.500", "1500")),
+        ("1.500,0", ("1500.0",)),
+        ("1,500.0", ("1500.0",)),
+        ("1 500", ("1500",)),
+        ("1\u00a0500", ("1500",)),
+        ("1\u202f500,25", ("1500.25",)),
+        ("1'500", ("1500",)),
+        ("1\u2019500.5", ("1500.5",)),
+        ("1,500,000", ("1500000",)),
+        ("1,50,000", ("150000",)),
+        ("1,5", ("1.5",)),
+        ("0,500", ("0.500",)),
+        ("\uff11\uff15\uff10\uff10", ("1500",)),
+        ("\uff11\uff0c\uff15", ("1.5",)),
+        ("\u0661\u066c\u0665\u0660\u0660", ("1.500", "1500")),
+        ("1500 mm", ("1500",)),
+        ("1,5 m", ("1500",)),
+        ("150cm", ("1500",)),
+        ('10"', ("254",)),
+        ("1/50", ("0.02",)),
+        ("f/2,8", ("2.8",)),
+        ("2026.11.29", ()),
+        ("1..5", ()),
+        ("1500 s", ()),
+        ("about 3", ()),
+        ("9" * 5000, ()),
+    ],
+)
+def test_a_number_in_the_notation_of_any_country_is_understood(
+    written: str, meant: tuple[str, ...]
+) -> None:
+    assert numbers_meant(written, "mm") == meant

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -332,3 +333,42 @@ def test_a_whole_raw_of_a_mirrorless_camera_is_read() -> None:
     assert 16000 < mosaic.white < 16384
     assert mosaic.exposure_s == pytest.approx(1 / 640, rel=1e-6)
     assert mosaic.iso == 3200
+
+
+@pytest.mark.parametrize(
+    ("tags", "words"),
+    [
+        (
+            [
+                (33421, "H", 2, (4, 4), True),
+                (33422, "B", 16, bytes([0, 0, 1, 1] * 4), True),
+            ],
+            "repeats every 4x4 pixels",
+        ),
+        ([(50711, "H", 1, 2, True)], "staggered"),
+    ],
+)
+def test_a_filter_array_that_is_not_two_by_two_is_refused(
+    tmp_path: Path,
+    write_dng: WriteDng,
+    counts: NDArray[np.uint16],
+    tags: list[tuple[Any, ...]],
+    words: str,
+) -> None:
+    path = write_dng(tmp_path / "a.dng", counts, more=tags)
+    with pytest.raises(RawError, match=words):
+        read_photograph(path, SILENT)
+
+
+def test_a_camera_without_its_filters_is_mono_if_the_plan_says_so(
+    tmp_path: Path, write_dng: WriteDng, counts: NDArray[np.uint16]
+) -> None:
+    path = write_dng(tmp_path / "a.dng", counts, black=(1, 2, 3, 4))
+    mono = Sensor(pixel_pitch_um=5.0, cfa_pattern="mono")
+    with pytest.raises(RawError, match="or add filters_removed = true if the filters were"):
+        read_photograph(path, mono)
+    bare = Sensor(pixel_pitch_um=5.0, cfa_pattern="mono", filters_removed=True)
+    photograph = read_photograph(path, bare)
+    assert photograph.cfa == "mono"
+    np.testing.assert_array_equal(photograph.counts, counts)
+    np.testing.assert_array_equal(photograph.black, [[1, 2], [3, 4]])

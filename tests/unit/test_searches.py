@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
+from labkit.estimation.likelihood import FrameData
 from labkit.estimation.local import Found, Guesses
 from labkit.estimation.searches import Searches, Task
 from labkit.estimation.stated import optics_of
+from labkit.estimation.stray_pixels import StrayPixel
 from tests.optimum_samples import PLAN, TARGET, Play, observations, right
 
 SLOW, FAST = (replace(optics_of(PLAN, "G"), f_number=n) for n in (5.6, 1.4))
@@ -42,3 +46,20 @@ def test_an_observation_whose_only_search_is_lost_is_left_out() -> None:
     search = searches(Play(lambda task: None))
     assert search({1: (SLOW, Guesses())}, "fitting") == {}
     assert search.left_out == ["G at 3010 mm is left out: killed"]
+
+
+def test_stray_pixels_that_a_search_finds_are_left_out_of_later_ones() -> None:
+    def ends(task: Task) -> Found:
+        strays = (StrayPixel(0, 1, 2, 30.0),) if task.guesses.deep else ()
+        return replace(right(task), strays=strays)
+
+    counts = np.ones((3, 4))
+    frame = FrameData(counts, counts > 0, counts, 0 * counts)
+    play = Play(ends)
+    search = searches(play)
+    search.observations[1] = replace(search.observations[1], frames=(frame,))
+    search({1: (SLOW, Guesses(deep=True))}, "fitting")
+    search({1: (SLOW, Guesses(deep=False))}, "fitting")
+    _, (later,) = play.batches
+    assert np.argwhere(~later.views.value.frames[0].used).tolist() == [[1, 2]]
+    assert search.observations[1].frames == later.views.value.frames
