@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from labkit.analysis.target_tiles import TargetPart
+from labkit.field.tile_bend import bend_of, lens_distortion
+from labkit.field.tile_places import PartsOfTarget, TilePlace
 from labkit.imaging.warp import Pose
+from labkit.key import Key, Tile
+from labkit.optics.field import FieldFrame
 from labkit.photographs.photograph import Photograph
 from labkit.plan.sensor import IN_COLOURS
 from labkit.target import Target
@@ -86,6 +92,39 @@ def register_part(
     by = np.array([[along, mixed], [down, across]])
     at = (corners - low) @ by.T + [below, right] + first - offset
     return np.asarray(at)
+
+
+def bends_of_parts(
+    frame: FieldFrame,
+    size_mm: tuple[float, float],
+    parts: Mapping[Tile, TargetPart],
+    corners: Mapping[Tile, Sequence[Floats]],
+) -> dict[Tile, Floats]:
+    """Return how the lens's distortion bends each part (2, 4, 4), see `Pose`; none where the parts' places show no distortion.
+
+    Parameters
+    ----------
+    frame : the camera's
+    size_mm : of the target
+    parts : of the target
+    corners : (4, 2) of the target by each part, for each photograph
+    """
+    if len(parts) < 2:
+        return {}
+    poses = {
+        tile: [part.of(Pose.from_corners(of, size_mm)) for of in corners[tile]]
+        for tile, part in parts.items()
+    }
+    on_target = {tile: np.array([part.y, part.x]) for tile, part in parts.items()}
+    places = [
+        TilePlace(Key(float(number), "", tile), pose.corners_px())
+        for tile, of_tile in poses.items()
+        for number, pose in enumerate(of_tile)
+    ]
+    straight = lens_distortion(frame, PartsOfTarget(size_mm, on_target), places)
+    if straight is None:
+        return {}
+    return {tile: bend_of(first, straight) for tile, (first, *_) in poses.items()}
 
 
 def _drawn(target: Target, pose: Pose, low: Ints, high: Ints) -> Floats32:
