@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from labkit.field.geometry import ADOPTED_P
 from labkit.field.tile_fit import (
     chosen,
     fit_tiles,
@@ -28,9 +29,6 @@ from labkit.field.tile_places import PartsOfTarget, TilePlace
 from labkit.imaging.warp import BEND_POWERS, Pose
 from labkit.optics.field import FieldFrame
 from labkit.types import Floats
-
-ADOPTED_P = 1e-3
-"""Probability that a lens without distortion is given some. At this one distortion is known to a quarter of itself."""
 
 ALONG = 7
 """Places along each side of a tile at which its bend is sampled: twice the powers of the polynomials, less one."""
@@ -62,6 +60,7 @@ def lens_distortion(
     plain[model.shared.start + TILE_GROWTH[0]] = False
     wider[model.shared.start + TILE_GROWTH[0]] = False
     fit = without_outliers(model, plain)
+    # at this probability distortion is known to a quarter of itself
     if fit.p_value(model.shared.start + np.array([*RADIAL, *DECENTRE])) >= ADOPTED_P:
         return None
     with_fifth = fit_tiles(model, wider, fit.apart)

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numba import njit
 
+from labkit.imaging.warp import BEND_POWERS
 from labkit.types import Floats, Floats32
 
 # M. Unser, Splines: a perfect fit for signal and image processing, IEEE Signal Processing Magazine 16, 1999
@@ -64,7 +65,7 @@ def read(
     1).
 
     The value is 0 near and beyond the raster's borders, where the spline lacks six samples.
-    spline: from `coefficients`, in either precision. bend: (2, k, k) coefficients of
+    spline: from `coefficients`, in either precision. bend: (2, 4, 4) coefficients of
     polynomials in powers of the place's row and column, which are subtracted from the place.
     """
     values = np.zeros(shape, np.float32)
@@ -86,12 +87,7 @@ def _read(
     right = np.empty(many, np.float32)
     down, across = np.empty((6, many), np.float32), np.empty((6, many), np.float32)
     for i in range(values.shape[0]):
-        for j in range(many):
-            w = 1 / (onto[2, 0] * i + onto[2, 1] * j + onto[2, 2])
-            at_y[j] = (onto[0, 0] * i + onto[0, 1] * j + onto[0, 2]) * w
-            at_x[j] = (onto[1, 0] * i + onto[1, 1] * j + onto[1, 2]) * w
-        if bend.size:
-            _bend(at_y, at_x, bend)
+        _place(onto, i, bend, at_y, at_x)
         for j in range(many):
             y, x = at_y[j], at_x[j]
             inside = (y >= 2) & (y < rows - 3) & (x >= 2) & (x < columns - 3)
@@ -121,15 +117,25 @@ def _read(
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _place(onto: Floats, i: int, bend: Floats, at_y: Floats, at_x: Floats) -> None:
+    """Compute the raster's places of a row of values."""
+    for j in range(at_y.size):
+        w = 1 / (onto[2, 0] * i + onto[2, 1] * j + onto[2, 2])
+        at_y[j] = (onto[0, 0] * i + onto[0, 1] * j + onto[0, 2]) * w
+        at_x[j] = (onto[1, 0] * i + onto[1, 1] * j + onto[1, 2]) * w
+    if bend.size:
+        _bend(at_y, at_x, bend)
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _bend(at_y: Floats, at_x: Floats, bend: Floats) -> None:
     """Subtract polynomials in the places from the places, by Horner's rule."""
-    powers = bend.shape[1]
     for j in range(at_y.size):
         y, x = at_y[j], at_x[j]
         down = across = 0.0
-        for a in range(powers - 1, -1, -1):
+        for a in range(BEND_POWERS - 1, -1, -1):
             by_row = by_column = 0.0
-            for b in range(powers - 1, -1, -1):
+            for b in range(BEND_POWERS - 1, -1, -1):
                 by_row = by_row * x + bend[0, a, b]
                 by_column = by_column * x + bend[1, a, b]
             down = down * y + by_row

@@ -8,7 +8,7 @@ from labkit.arrays import real_array
 from labkit.types import Floats
 
 POSE_SIZE = 8
-BEND_POWERS = 4
+BEND_POWERS = 4  # of polynomials of the third degree
 CORNER_Y = np.array([-1.0, -1, 1, 1])
 CORNER_X = np.array([-1.0, 1, 1, -1])
 
