@@ -47,7 +47,6 @@ from labkit.findings import Finding, at_range, each_once, found
 from labkit.imaging.brightness import Brightness
 from labkit.imaging.warp import Pose
 from labkit.key import Key, Tile, same_range
-from labkit.optics.field import FieldFrame
 from labkit.panel.target_pixels import as_shown
 from labkit.photographs.decoding import read_photograph
 from labkit.photographs.photograph import Cut, Photograph
@@ -291,7 +290,7 @@ def _regions(
             return [_Region(place, whole, cut_around(whole, shape))], []
         cut_up = _cut_up(whole, parts, shape)
         registered = [_registered(region, shots, target) for region in cut_up]
-        return _bent(registered, shape, plan.sensor.pixel_pitch_um, target), []
+        return _bent(registered, shape, target), []
     regions = [_Region(tile, of, cut_around(of, shape)) for tile, of in corners.items()]
     absent = sorted(set(np.ndindex(grid.grid)) - {*tiles})
     if not absent:
@@ -323,13 +322,12 @@ def _registered(region: _Region, shots: Sequence[_Shot], target: Target) -> _Reg
 
 
 def _bent(
-    regions: Sequence[_Region], shape: tuple[int, int], pitch_um: float, target: Target
+    regions: Sequence[_Region], shape: tuple[int, int], target: Target
 ) -> list[_Region]:
     """Return registered parts of a target with their bends by the lens's distortion, which their places show."""
-    parts = {r.tile: r.part for r in regions if r.tile is not None and r.part is not None}
-    corners = {r.tile: r.corners_px for r in regions if r.tile in parts}
-    of_parts = bends_of_parts(FieldFrame(shape, pitch_um), target.size_mm, parts, corners)
-    return [replace(region, bend=of_parts.get(region.tile)) for region in regions]
+    corners = {r.part: r.corners_px for r in regions if r.part is not None}
+    bends = bends_of_parts(shape, target.size_mm, corners)
+    return [replace(r, bend=None if r.part is None else bends.get(r.part)) for r in regions]
 
 
 def _register_in(

@@ -12,7 +12,7 @@ from labkit.analysis.target_tiles import TargetPart
 from labkit.field.tile_bend import bend_of, lens_distortion
 from labkit.field.tile_places import PartsOfTarget, TilePlace
 from labkit.imaging.warp import Pose
-from labkit.key import Key, Tile
+from labkit.key import Key
 from labkit.optics.field import FieldFrame
 from labkit.photographs.photograph import Photograph
 from labkit.plan.sensor import IN_COLOURS
@@ -34,6 +34,9 @@ SUBSAMPLES = 3
 
 LEAST_CORRELATION = 0.3
 """Below which the corners are kept: the part may be lit badly, or blurred beyond recognition."""
+
+SOME_PITCH_UM = 1.0
+"""Of the pixels: distortion in pixels does not depend on it."""
 
 ECC_STEPS, ECC_CHANGE = 60, 1e-6
 
@@ -95,36 +98,36 @@ def register_part(
 
 
 def bends_of_parts(
-    frame: FieldFrame,
+    shape_px: tuple[int, int],
     size_mm: tuple[float, float],
-    parts: Mapping[Tile, TargetPart],
-    corners: Mapping[Tile, Sequence[Floats]],
-) -> dict[Tile, Floats]:
-    """Return how the lens's distortion bends each part (2, 4, 4), see `Pose`; none where the parts' places show no distortion.
+    corners: Mapping[TargetPart, Sequence[Floats]],
+) -> dict[TargetPart, Floats]:
+    """Return how the lens's distortion bends each tile (2, 4, 4), see `Pose`; none where the tiles' places show no distortion.
 
     Parameters
     ----------
-    frame : the camera's
+    shape_px : (rows, columns) of the photographs
     size_mm : of the target
-    parts : of the target
-    corners : (4, 2) of the target by each part, for each photograph
+    corners : (4, 2) of the target as each tile shows them, for each photograph
     """
-    if len(parts) < 2:
-        return {}
     poses = {
-        tile: [part.of(Pose.from_corners(of, size_mm)) for of in corners[tile]]
-        for tile, part in parts.items()
+        part: [part.of(Pose.from_corners(one, size_mm)) for one in of]
+        for part, of in corners.items()
+        if part.tile is not None
     }
-    on_target = {tile: np.array([part.y, part.x]) for tile, part in parts.items()}
+    if len(poses) < 2:
+        return {}
     places = [
-        TilePlace(Key(float(number), "", tile), pose.corners_px())
-        for tile, of_tile in poses.items()
-        for number, pose in enumerate(of_tile)
+        TilePlace(Key(float(number), "", part.tile), pose.corners_px())
+        for part, of_part in poses.items()
+        for number, pose in enumerate(of_part)
     ]
-    straight = lens_distortion(frame, PartsOfTarget(size_mm, on_target), places)
+    ends = {part.tile: np.array([part.y, part.x]) for part in poses if part.tile}
+    parts = PartsOfTarget(size_mm, ends)
+    straight = lens_distortion(FieldFrame(shape_px, SOME_PITCH_UM), parts, places)
     if straight is None:
         return {}
-    return {tile: bend_of(first, straight) for tile, (first, *_) in poses.items()}
+    return {part: bend_of(first, straight) for part, (first, *_) in poses.items()}
 
 
 def _drawn(target: Target, pose: Pose, low: Ints, high: Ints) -> Floats32:

@@ -46,7 +46,8 @@ def photographed(folder: Path, percent: float) -> int:
     cos, sin = np.cos(0.02), np.sin(0.02)
     corners = half @ np.array([[cos, -sin], [sin, cos]]) + 540.3
     middle = (np.array(SHAPE) - 1) / 2
-    lens = Distortion(percent / 100 / (middle @ middle), (middle[1], middle[0]))
+    k1 = percent / 100 / float(middle @ middle)
+    lens = Distortion(k1, (float(middle[1]), float(middle[0])))
 
     def seen(places: Floats) -> Floats:
         return np.stack(lens.distorted(places[:, 1], places[:, 0])[::-1], axis=1)
