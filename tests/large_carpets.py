@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 import scipy.fft
 
+from labkit.drivers.simulated.field import Distortion
 from labkit.targets.sierpinski import carpet_cells
 from labkit.types import Complexes, Floats
 
@@ -25,13 +26,22 @@ REACH_PX = 100
 PUPIL_SUBSAMPLES = 4
 
 
-def carpet_points(order: int, corners: Floats, rows: Floats, cols: Floats) -> Floats:
-    """Radiance of a black-cornered carpet at pixels; its corners (4, 2) are those of a parallelogram."""
+def carpet_points(
+    order: int,
+    corners: Floats,
+    rows: Floats,
+    cols: Floats,
+    lens: Distortion | None = None,
+) -> Floats:
+    """Radiance of a black-cornered carpet at pixels; its corners (4, 2) without distortion are those of a parallelogram."""
+    y, x = rows[:, None], cols[None]
+    if lens is not None:
+        x, y = lens.straight(x, y)
     across = corners[1] - corners[0]
     down = corners[3] - corners[0]
     back = np.linalg.inv(np.stack([down, across], axis=1))
     cells = carpet_cells(order)
-    at = rows[:, None] - corners[0][0], cols[None] - corners[0][1]
+    at = y - corners[0][0], x - corners[0][1]
     y, x = (np.floor((a * at[0] + b * at[1]) * len(cells)).astype(int) for a, b in back)
     inside = (y >= 0) & (y < len(cells)) & (x >= 0) & (x < len(cells))
     last = len(cells) - 1
@@ -73,11 +83,11 @@ def large_carpet(
     shape: tuple[int, int],
     rectangles: Sequence[tuple[int, int, int, int]],
     waves: Sequence[float],
+    lens: Distortion | None = None,
 ) -> Floats:
     """Relative light of a photograph. rectangles: first row and column, last row and column of what is formed right."""
-    seen = carpet_points(
-        order, corners, np.arange(shape[0], dtype=float), np.arange(shape[1], dtype=float)
-    )
+    rows, cols = (np.arange(side, dtype=float) for side in shape)
+    seen = carpet_points(order, corners, rows, cols, lens)
     for top, left, bottom, right in rectangles:
         size = scipy.fft.next_fast_len(max(bottom - top, right - left) + 2 * REACH_PX)
         step = 1 / (MANY * FINER)
@@ -87,7 +97,7 @@ def large_carpet(
         )
         samples = np.concatenate(
             [
-                carpet_points(order, corners, block, np.asarray(cols))
+                carpet_points(order, corners, block, np.asarray(cols), lens)
                 .reshape(len(block) // FINER, FINER, -1, FINER)
                 .mean((1, 3))
                 for block in np.split(rows, size)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from labkit.analysis.session_results import as_wavefront
 from labkit.analysis.target_tiles import middle_part, target_parts
-from labkit.analysis.tile_registration import register_part
+from labkit.analysis.tile_registration import bends_of_parts, register_part
 from labkit.arrays import mask_array, positive, real_array
 from labkit.calibration.photon_transfer import (
     UNKNOWN_NOISE_STD,
@@ -108,17 +109,23 @@ def _observation(
     noise: NoisePrior,
 ) -> Observation:
     """Return the frames, cut to the target."""
-    shape = images.shape[1:]
+    shape = images.shape[1], images.shape[2]
     parts = target_parts(corners, FieldSettings(), target, shape)
     part = middle_part(parts) if parts else None
+    bend = None
     rows, columns = cut_around(corners, shape)
     if part is not None:
         inside = [part.corners(Pose.from_corners(c, target.size_mm)) for c in corners]
         rows, columns = cut_within(inside, shape)
-        corners = [
-            register_part(image, pixels.period, target, part, c)
-            for image, c in zip(images, corners, strict=True)
-        ]
+        registered = {
+            each: [
+                register_part(image, pixels.period, target, each, c)
+                for image, c in zip(images, corners, strict=True)
+            ]
+            for each in parts
+        }
+        corners = registered[part]
+        bend = bends_of_parts(shape, target.size_mm, registered).get(part)
     cut = images[:, rows, columns]
     usable = good[:, rows, columns] & pixels.mask(cut.shape[1:])
     poses = tuple(
@@ -133,7 +140,9 @@ def _observation(
         frames=tuple(
             _frame(*of_frame, target) for of_frame in zip(cut, usable, poses, strict=True)
         ),
-        poses=poses if part is None else tuple(part.of(pose) for pose in poses),
+        poses=poses
+        if part is None
+        else tuple(replace(part.of(pose), bend=bend) for pose in poses),
         noise=noise,
         places=pixels.places,
         period=pixels.period,

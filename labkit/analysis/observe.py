@@ -15,7 +15,7 @@ from labkit.analysis.target_tiles import (
     middle_part,
     target_parts,
 )
-from labkit.analysis.tile_registration import one_colour, register_part
+from labkit.analysis.tile_registration import bends_of_parts, one_colour, register_part
 from labkit.calibration.calibrate import (
     Calibration,
     ChannelData,
@@ -77,12 +77,22 @@ class _Shot:
 
 @dataclass(frozen=True)
 class _Region:
-    """A part of the photographs that is fitted: its tile, the target's corners (4, 2) in each, the cut, the target's part."""
+    """A part of the photographs that is fitted.
+
+    Attributes
+    ----------
+    tile : None for a target that is fitted alone
+    corners_px : (4, 2) of the target in each photograph
+    cut : of the photographs
+    part : of the target; None for the whole
+    bend : of the part by the lens's distortion, see `Pose`; None where that is not known
+    """
 
     tile: Tile | None
     corners_px: list[Floats]
     cut: Cut
     part: TargetPart | None = None
+    bend: Floats | None = None
 
 
 def observe(
@@ -283,7 +293,8 @@ def _regions(
         elif place is not None:
             return [_Region(place, whole, cut_around(whole, shape))], []
         cut_up = _cut_up(whole, parts, shape)
-        return [_registered(region, shots, target) for region in cut_up], []
+        registered = [_registered(region, shots, target) for region in cut_up]
+        return _bent(registered, shape, target), []
     regions = [_Region(tile, of, cut_around(of, shape)) for tile, of in corners.items()]
     absent = sorted(set(np.ndindex(grid.grid)) - {*tiles})
     if not absent:
@@ -312,6 +323,15 @@ def _registered(region: _Region, shots: Sequence[_Shot], target: Target) -> _Reg
         for shot, one in zip(shots, region.corners_px, strict=True)
     ]
     return replace(region, corners_px=corners)
+
+
+def _bent(
+    regions: Sequence[_Region], shape: tuple[int, int], target: Target
+) -> list[_Region]:
+    """Return registered parts of a target with their bends by the lens's distortion, which their places show."""
+    corners = {r.part: r.corners_px for r in regions if r.part is not None}
+    bends = bends_of_parts(shape, target.size_mm, corners)
+    return [replace(r, bend=None if r.part is None else bends.get(r.part)) for r in regions]
 
 
 def _register_in(
@@ -441,7 +461,9 @@ def _observation(
         found_px = [shot.corners_px for shot in shots]
         frames = with_neighbours(frames, target, found_px, region.tile, cut)
     if region.part is not None:
-        poses = tuple(region.part.of(pose) for pose in poses)
+        poses = tuple(
+            replace(region.part.of(pose), bend=region.bend) for pose in poses
+        )
     observation = Observation(
         range_mm=group[0].range_mm,
         measured_range_mm=_measured(group),

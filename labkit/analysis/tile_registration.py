@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from labkit.analysis.target_tiles import TargetPart
+from labkit.field.tile_bend import bend_of, lens_distortion
+from labkit.field.tile_places import PartsOfTarget, TilePlace
 from labkit.imaging.warp import Pose
+from labkit.key import Key
+from labkit.optics.field import FieldFrame
 from labkit.photographs.photograph import Photograph
 from labkit.plan.sensor import IN_COLOURS
 from labkit.target import Target
@@ -28,6 +34,9 @@ SUBSAMPLES = 3
 
 LEAST_CORRELATION = 0.3
 """Below which the corners are kept: the part may be lit badly, or blurred beyond recognition."""
+
+SOME_PITCH_UM = 1.0
+"""Of the pixels: distortion in pixels does not depend on it."""
 
 ECC_STEPS, ECC_CHANGE = 60, 1e-6
 
@@ -86,6 +95,39 @@ def register_part(
     by = np.array([[along, mixed], [down, across]])
     at = (corners - low) @ by.T + [below, right] + first - offset
     return np.asarray(at)
+
+
+def bends_of_parts(
+    shape_px: tuple[int, int],
+    size_mm: tuple[float, float],
+    corners: Mapping[TargetPart, Sequence[Floats]],
+) -> dict[TargetPart, Floats]:
+    """Return how the lens's distortion bends each tile (2, 4, 4), see `Pose`; none where the tiles' places show no distortion.
+
+    Parameters
+    ----------
+    shape_px : (rows, columns) of the photographs
+    size_mm : of the target
+    corners : (4, 2) of the target as each tile shows them, for each photograph
+    """
+    poses = {
+        part: [part.of(Pose.from_corners(one, size_mm)) for one in of]
+        for part, of in corners.items()
+        if part.tile is not None
+    }
+    if len(poses) < 2:
+        return {}
+    places = [
+        TilePlace(Key(float(number), "", part.tile), pose.corners_px())
+        for part, of_part in poses.items()
+        for number, pose in enumerate(of_part)
+    ]
+    ends = {part.tile: np.array([part.y, part.x]) for part in poses if part.tile}
+    parts = PartsOfTarget(size_mm, ends)
+    straight = lens_distortion(FieldFrame(shape_px, SOME_PITCH_UM), parts, places)
+    if straight is None:
+        return {}
+    return {part: bend_of(first, straight) for part, (first, *_) in poses.items()}
 
 
 def _drawn(target: Target, pose: Pose, low: Ints, high: Ints) -> Floats32:

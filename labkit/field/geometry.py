@@ -317,9 +317,8 @@ def _bend(fit: TileFit, p_value: float) -> Bend:
     at = np.arange(model.shared.start, model.shared.stop)[list(BEND)]
     curvatures = fit.numbers[at]
     covariance = fit.covariance[np.ix_(at, at)]
-    sides = (np.array(model.grid.shape) - 1) * model.grid.pitch_mm
     middles = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]])
-    rim = np.concatenate([CORNERS, middles]) * (sides + model.grid.size_mm) / 2
+    rim = np.concatenate([CORNERS, middles]) * np.array(model.grid.whole_mm) / 2
     rows = np.stack([sag_mm(rim, unit) for unit in np.eye(3)], axis=1)
     sags = rows @ curvatures
     between = rows[np.argmax(sags)] - rows[np.argmin(sags)]

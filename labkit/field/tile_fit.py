@@ -273,11 +273,11 @@ def _start(model: TileModel) -> Floats:
         seen = np.concatenate(
             [model.frame.heights_mm(model.places[k].corners_px) for k in here]
         )
-        numbers[model.homography(station)] = _linear_homography(on_target, seen)
+        numbers[model.homography(station)] = linear_homography(on_target, seen)
     return numbers
 
 
-def _linear_homography(from_: Floats, to: Floats) -> Floats:
+def linear_homography(from_: Floats, to: Floats) -> Floats:
     """Return the eight numbers of the homography between points (n, 2), by linear least squares."""
     ones = np.ones((len(from_), 1))
     flat = np.concatenate([from_, ones], axis=1)

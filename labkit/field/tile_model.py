@@ -20,7 +20,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from labkit.field.tile_places import CORNERS, TileGrid, TilePlace, corners_by_nodes, nodes
+from labkit.field.tile_places import (
+    CORNERS,
+    PartsOfTarget,
+    TileGrid,
+    TilePlace,
+    corners_by_nodes,
+    nodes,
+)
 from labkit.optics.field import FieldFrame
 from labkit.types import Floats, Integers
 
@@ -58,7 +65,7 @@ class TileModel:
     """
 
     frame: FieldFrame
-    grid: TileGrid
+    grid: TileGrid | PartsOfTarget
     places: tuple[TilePlace, ...]
     ranges_mm: tuple[float | None, ...]
     channels: tuple[str, ...]
@@ -86,8 +93,8 @@ class TileModel:
 
     @property
     def unit_mm(self) -> float:
-        """Unit of length on the target in the homographies' numbers."""
-        return self.grid.half_diagonal_mm
+        """Unit of length on the target in the homographies' numbers: from its centre to its corner."""
+        return float(np.hypot(*self.grid.whole_mm) / 2)
 
     def matrix(self, numbers: Numbers, station: int) -> Numbers:
         """Return the homography (3, 3) from mm on the target to mm on the sensor, before distortion."""

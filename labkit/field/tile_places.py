@@ -10,7 +10,7 @@ next to nothing about the target's tilt, and blur that changes over a tile passe
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 
 from labkit.arrays import positive, real_array, symmetric
-from labkit.key import Key
+from labkit.key import Key, Tile
 from labkit.results import Wavefront
 from labkit.types import Floats
 
@@ -58,15 +58,38 @@ class TileGrid:
             positive("size_mm", side, "mm")
 
     @property
-    def half_diagonal_mm(self) -> float:
-        """Distance of the farthest corner from the grid's centre."""
-        sides = (np.array(self.shape) - 1) * self.pitch_mm + np.array(self.size_mm)
-        return float(np.hypot(*sides) / 2)
+    def whole_mm(self) -> tuple[float, float]:
+        """(height, width) of all tiles together."""
+        height, width = (
+            (count - 1) * self.pitch_mm + side
+            for count, side in zip(self.shape, self.size_mm, strict=True)
+        )
+        return height, width
 
     def places_mm(self, tile: tuple[int, int], within: Floats) -> Floats:
         """Return (n, 2) mm from the grid's centre, y down and x right, of places (n, 2) in halves of a tile's sides."""
         centre = (np.array(tile) - (np.array(self.shape) - 1) / 2) * self.pitch_mm
         return np.asarray(centre + within * np.array(self.size_mm) / 2)
+
+
+@dataclass(frozen=True, slots=True)
+class PartsOfTarget:
+    """Tiles anywhere on one target.
+
+    Attributes
+    ----------
+    whole_mm : (height, width) of the target
+    ends : first and last row, and first and last column, of each tile on the target, (2, 2), -1 to 1
+    """
+
+    whole_mm: tuple[float, float]
+    ends: Mapping[Tile, Floats]
+
+    def places_mm(self, tile: Tile, within: Floats) -> Floats:
+        """Return (n, 2) mm from the target's centre, y down and x right, of places (n, 2) in halves of a tile's sides."""
+        first, last = self.ends[tile].T
+        on_target = (first + last + within * (last - first)) / 2
+        return np.asarray(on_target * np.array(self.whole_mm) / 2)
 
 
 @dataclass(frozen=True, eq=False)

@@ -133,7 +133,9 @@ class Scene:
             )
             window = tuple(slice(*ends) for ends in zip(low, high, strict=True))
             image[window] = raster.at(
-                np.linalg.inv(onto_torus.matrix) @ to_torus, image[window].shape
+                np.linalg.inv(onto_torus.matrix) @ to_torus,
+                image[window].shape,
+                pose.bend,
             )
             if self.brightness is not None:
                 rows, columns = (
@@ -222,13 +224,31 @@ class _Raster:
         bottom, right = self.first + self.step * (np.array(self.coefficients.shape) - 1)
         return np.array([top, top, bottom, bottom]), np.array([left, right, right, left])
 
-    def at(self, to_target: Floats, shape: tuple[int, int]) -> Floats32:
-        """Return values on a grid whose (i, j, 1) a homography (3, 3) maps to unit coordinates (y, x, 1); 0
-        outside.
+    def at(
+        self, to_target: Floats, shape: tuple[int, int], bend: Floats | None = None
+    ) -> Floats32:
+        """Return values on a grid whose (i, j, 1) a homography (3, 3) maps to unit coordinates (y, x, 1), from which
+        a bend is subtracted; 0 outside.
         """
         (y, x), (down, across) = -self.first / self.step, 1 / self.step
         return spline.read(
             self.coefficients,
             np.array([[down, 0, y], [0, across, x], [0, 0, 1]]) @ to_target,
             shape,
+            None if bend is None else self._in_samples(bend),
         )
+
+    def _in_samples(self, bend: Floats) -> Floats:
+        """Return polynomials in unit coordinates as polynomials in the raster's samples, both ways."""
+        powers = range(bend.shape[1])
+        # (first + step k)^i by powers of k
+        down, across = (
+            np.array(
+                [
+                    [math.comb(i, k) * first ** max(i - k, 0) * step**k for i in powers]
+                    for k in powers
+                ]
+            )
+            for first, step in zip(self.first, self.step, strict=True)
+        )
+        return np.asarray(down @ bend @ across.T / self.step[:, None, None])

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numba import njit
 
+from labkit.imaging.warp import BEND_POWERS
 from labkit.types import Floats, Floats32
 
 # M. Unser, Splines: a perfect fit for signal and image processing, IEEE Signal Processing Magazine 16, 1999
@@ -18,6 +19,8 @@ POLES = (
     math.sqrt(135 / 2 + math.sqrt(17745 / 4)) - math.sqrt(105 / 4) - 13 / 2,
 )
 POLE_REACH = 45  # samples, after which the larger pole has fallen below 1e-16
+
+NOT_BENT = np.zeros((2, 0, 0))
 
 COLUMNS_AT_ONCE = 512  # columns that are filtered together
 
@@ -52,32 +55,41 @@ def filter_columns(spline: Floats | Floats32) -> None:
         spline[:, first : first + COLUMNS_AT_ONCE] = some
 
 
-def read(spline: Floats | Floats32, onto: Floats, shape: tuple[int, int]) -> Floats32:
+def read(
+    spline: Floats | Floats32,
+    onto: Floats,
+    shape: tuple[int, int],
+    bend: Floats | None = None,
+) -> Floats32:
     """Return (rows, columns) of a shape, [i, j] the spline's value at the raster's place `onto` (3, 3) @ (i, j,
     1).
 
     The value is 0 near and beyond the raster's borders, where the spline lacks six samples.
-    spline: from `coefficients`, in either precision.
+    spline: from `coefficients`, in either precision. bend: (2, 4, 4) coefficients of
+    polynomials in powers of the place's row and column, which are subtracted from the place.
     """
     values = np.zeros(shape, np.float32)
-    _read(spline, np.ascontiguousarray(onto, dtype=float), values)
+    bent = NOT_BENT if bend is None else np.ascontiguousarray(bend, dtype=float)
+    _read(spline, np.ascontiguousarray(onto, dtype=float), bent, values)
     return values
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def _read(spline: Floats | Floats32, onto: Floats, values: Floats32) -> None:
+def _read(
+    spline: Floats | Floats32, onto: Floats, bend: Floats, values: Floats32
+) -> None:
     """Compute places, then weights, then sums, row by row; the compiler vectorises each loop."""
     rows, columns = spline.shape
     many = values.shape[1]
+    at_y, at_x = np.empty(many), np.empty(many)
     row, column = np.empty(many, np.int32), np.empty(many, np.int32)
     below = np.empty(many, np.float32)
     right = np.empty(many, np.float32)
     down, across = np.empty((6, many), np.float32), np.empty((6, many), np.float32)
     for i in range(values.shape[0]):
+        _place(onto, i, bend, at_y, at_x)
         for j in range(many):
-            w = 1 / (onto[2, 0] * i + onto[2, 1] * j + onto[2, 2])
-            y = (onto[0, 0] * i + onto[0, 1] * j + onto[0, 2]) * w
-            x = (onto[1, 0] * i + onto[1, 1] * j + onto[1, 2]) * w
+            y, x = at_y[j], at_x[j]
             inside = (y >= 2) & (y < rows - 3) & (x >= 2) & (x < columns - 3)
             whole_y, whole_x = np.floor(y), np.floor(x)
             below[j], right[j] = y - whole_y, x - whole_x
@@ -102,6 +114,34 @@ def _read(spline: Floats | Floats32, onto: Floats, values: Floats32) -> None:
             values[i, j] = (
                 one + two + three + d * across[3, j] + e * across[4, j] + f * across[5, j]
             )
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _place(onto: Floats, i: int, bend: Floats, at_y: Floats, at_x: Floats) -> None:
+    """Compute the raster's places of a row of values."""
+    for j in range(at_y.size):
+        w = 1 / (onto[2, 0] * i + onto[2, 1] * j + onto[2, 2])
+        at_y[j] = (onto[0, 0] * i + onto[0, 1] * j + onto[0, 2]) * w
+        at_x[j] = (onto[1, 0] * i + onto[1, 1] * j + onto[1, 2]) * w
+    if bend.size:
+        _bend(at_y, at_x, bend)
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _bend(at_y: Floats, at_x: Floats, bend: Floats) -> None:
+    """Subtract polynomials in the places from the places, by Horner's rule."""
+    for j in range(at_y.size):
+        y, x = at_y[j], at_x[j]
+        down = across = 0.0
+        for a in range(BEND_POWERS - 1, -1, -1):
+            by_row = by_column = 0.0
+            for b in range(BEND_POWERS - 1, -1, -1):
+                by_row = by_row * x + bend[0, a, b]
+                by_column = by_column * x + bend[1, a, b]
+            down = down * y + by_row
+            across = across * y + by_column
+        at_y[j] -= down
+        at_x[j] -= across
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")

@@ -8,6 +8,7 @@ from labkit.arrays import real_array
 from labkit.types import Floats
 
 POSE_SIZE = 8
+BEND_POWERS = 4  # of polynomials of the third degree
 CORNER_Y = np.array([-1.0, -1, 1, 1])
 CORNER_X = np.array([-1.0, 1, 1, -1])
 
@@ -23,18 +24,29 @@ class Pose:
     v0..v5 are in pixels (pixel centres at integers), v6 and v7 unitless. The rectangle is the target, or the part of a
     large target that is fitted alone: numbers of a distant rectangle would be known together only.
 
+    A lens that distorts bends the rectangle, which no homography does. The homography's place (y, x) then shows the target's
+
+        (y, x) - sum_ij bend[:, i, j] y^i x^j.
+
+    Methods are those of the homography alone; a drawing has the bend (`labkit.imaging.scene`).
+
     Attributes
     ----------
     v : (8,) numbers
     half_size_mm : half (height, width) of the rectangle
     centre_mm : (y, x) of its centre from the target's
+    bend : (2, 4, 4) cubic polynomials of the lens's distortion over the rectangle; None for a lens that is not known to
+        distort
     """
 
     v: Floats
     half_size_mm: tuple[float, float]
     centre_mm: tuple[float, float] = (0.0, 0.0)
+    bend: Floats | None = None
 
     def __post_init__(self) -> None:
+        if self.bend is not None:
+            real_array("bend", self.bend, (2, BEND_POWERS, BEND_POWERS), "unitless")
         object.__setattr__(
             self,
             "v",
@@ -87,7 +99,7 @@ class Pose:
     def about(
         self, half_size_mm: tuple[float, float], centre_mm: tuple[float, float] = (0.0, 0.0)
     ) -> "Pose":
-        """Return the same pose in the coordinates of another rectangle on the target."""
+        """Return the same homography in the coordinates of another rectangle on the target, without a bend."""
         own, other = np.array(self.half_size_mm), np.array(half_size_mm)
         away = np.subtract(centre_mm, self.centre_mm) / own
         there = np.diag([*(other / own), 1.0])
