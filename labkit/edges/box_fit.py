@@ -112,9 +112,11 @@ def fit_box(task: BoxTask) -> BoxFit:
             of.refuse_no_edge()
         iso, problem = task.measured()
         box = replace(box, iso=iso, iso_problem=problem)
+        rough = [of.with_shape() for of in rough]
         for of in rough:
             of.refuse_uneven()
         ends = fit_depth(task.problem, rough, EXACTLY if task.camera.given else ROUGHLY)
+        box = replace(box, task=replace(task, regions=ends[0].problem.regions))
         _refuse_contradiction(ends[0])
         sides = sides_of(ends) if task.camera.given else ()
     except (DataError, FitError) as error:

@@ -127,7 +127,7 @@ def test_the_error_of_mtf50_is_its_scatter() -> None:
 
 
 @pytest.mark.parametrize(
-    ("angle", "words"), [(0.0, "slanted by 0.0 degrees"), (45.0, "passes 0.1 of a sample")]
+    ("angle", "words"), [(0.0, "slanted by 0.0 degrees"), (45.0, "passes 0.2 of a sample")]
 )
 def test_an_edge_that_the_method_cannot_measure_is_refused(
     angle: float, words: str
