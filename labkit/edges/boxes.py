@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from labkit.edges.esfr import Plane
-from labkit.edges.found_edges import Box, FoundEdge, find_edges
+from labkit.edges.found_edges import DEEP, Box, FoundEdge, find_edges
 from labkit.edges.region import LEAST_REGION_PIXELS, Region
 from labkit.errors import DataError
 from labkit.photographs.decoding import read_photograph
@@ -114,21 +114,54 @@ class ChannelFrame:
         return Region(y[used], x[used], light[used], centre, frame)
 
     def planes(self, place: Place) -> tuple[Plane, ...]:
-        """Return a box's samples by plane, all of equal size; none if a sample is clipped."""
+        """Return a box's samples by plane, all of equal size, in lines along an edge that was found; none if a sample is
+        clipped.
+        """
         light, usable, _ = self.read(place)
         step = self.pixels.period
         r0, c0, *_ = place.box
-        firsts = [
-            ((row - r0) % step, (column - c0) % step) for row, column in self.pixels.places
-        ]
-        cuts = [np.s_[row::step, column::step] for row, column in firsts]
-        if not all(usable[cut].all() for cut in cuts):
+        light = np.where(usable, light, np.nan)
+        planes = []
+        for row, column in self.pixels.places:
+            down, right = (row - r0) % step, (column - c0) % step
+            plane = Plane(light[down::step, right::step], (r0 + down, c0 + right), step)
+            planes.append(plane if place.found is None else lines_along(plane, place.found))
+        if any(np.isnan(plane.values).any() for plane in planes):
             return ()
-        rows, columns = np.min([light[cut].shape for cut in cuts], axis=0)
+        rows, columns = np.min([plane.values.shape for plane in planes], axis=0)
         return tuple(
-            Plane(light[cut][:rows, :columns], (r0 + row, c0 + column), step)
-            for cut, (row, column) in zip(cuts, firsts, strict=True)
+            replace(
+                plane, values=plane.values[:rows, :columns], shifts=plane.shifts[:rows]
+            )
+            for plane in planes
         )
+
+
+def lines_along(plane: Plane, found: FoundEdge) -> Plane:
+    """Return the lines of a plane that cross a found edge, each as far as the edge's sides are known to be even.
+
+    A rectangle about a slanted edge would hold the corners where its sides end.
+    """
+    row, column = found.middle
+    angle = found.angle
+    if abs(np.sin(angle)) > abs(np.cos(angle)):
+        plane = plane.turned
+        row, column = -column, row
+        angle = float(np.arctan2(-np.cos(angle), np.sin(angle)))
+    cosine, sine = abs(np.cos(angle)), abs(np.sin(angle))
+    width = plane.values.shape[1]
+    off = plane.rows - row
+    middle = np.rint((column - off * np.tan(angle) - plane.first[1]) / plane.step)
+    border = np.minimum(middle, width - 1 - middle)
+    half = min(int(DEEP / cosine), int(border[np.argmin(np.abs(off))]))
+    inside = np.abs(off) / cosine + half * plane.step * sine <= found.length_px / 2
+    inside &= border >= half
+    kept = slice(np.argmax(inside), inside.size - np.argmax(inside[::-1]))
+    begins = middle[kept].astype(int).clip(half, width - 1 - half) - half
+    at = begins[:, None] + np.arange(2 * half + 1)
+    values = np.take_along_axis(plane.values[kept], at, axis=1)
+    first = (float(plane.rows[kept][0]), plane.first[1])
+    return Plane(values, first, plane.step, np.asarray(begins, np.float64))
 
 
 def read_frames(paths: Sequence[Path], plan: Plan) -> list[Photograph]:

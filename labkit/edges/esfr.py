@@ -106,17 +106,19 @@ class Plane:
 class Esfr(Response):
     """A response by ISO 12233.
 
-    Its errors are by the scatter within the bins, by the bins' width, and by what light adds that changes along and across the
-    edge. A fall that is not known to a third is nan.
+    Its errors are by the scatter within the bins, by the bins' width, by the tails that the window takes, and by what light
+    adds that changes along and across the edge. A fall that is not known to a third is nan.
 
     Attributes
     ----------
     slant_deg : of the edge against the nearest axis of the lattice
     edition : year of the standard
+    noise : (n,) standard errors by noise alone
     """
 
     slant_deg: float
     edition: int = LATEST
+    noise: Floats = field(default_factory=lambda: np.empty(0))
 
     @property
     def problem(self) -> str:
@@ -168,7 +170,7 @@ def esfr(planes: Sequence[Plane], pitch_um: float, edition: int = LATEST) -> Esf
     samples = np.concatenate([_projected(plane, line, slope) for plane in planes], axis=1)
     samples[0] += into
     window = EDITIONS[edition].even
-    cycles, value, std = _response(samples, planes[0].values.shape[1], window)
+    cycles, value, std, noise = _response(samples, planes[0].values.shape[1], window)
     # of one sample along a line, across the edge
     across_mm = planes[0].step * pitch_um * 1e-3 * np.cos(np.arctan(slope))
     frequency = cycles / across_mm
@@ -176,7 +178,7 @@ def esfr(planes: Sequence[Plane], pitch_um: float, edition: int = LATEST) -> Esf
     mtf50, mtf10 = (
         _fall(frequency[known], value[known], std[known], level) for level in (0.5, 0.1)
     )
-    return Esfr(frequency, value, std, mtf50, mtf10, slant, edition)
+    return Esfr(frequency, value, std, mtf50, mtf10, slant, edition, noise)
 
 
 def _edge_place(planes: Sequence[Plane], edition: Edition) -> tuple[Polynomial, float]:
@@ -246,8 +248,14 @@ def _projected(plane: Plane, place: Polynomial, slope: float) -> Floats:
     return np.stack(samples).reshape(3, -1)
 
 
-def _response(samples: Floats, width: int, even: float) -> tuple[Floats, Floats, Floats]:
-    """Return frequencies in cycles a sample, response, and its errors, by samples (3, n). width: of a line."""
+def _response(
+    samples: Floats, width: int, even: float
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return frequencies in cycles a sample, response, its errors, and those by noise, by samples (3, n).
+
+    width : of a line
+    even : of the window
+    """
     low, high = np.percentile(samples[0], OUTERMOST)
     if min(-low, high) < LEAST_DEPTH:
         raise DataError(
@@ -275,11 +283,14 @@ def _response(samples: Floats, width: int, even: float) -> tuple[Floats, Floats,
     value, slopes = modulus(spectrum / light, by_bin.T)
     repeating = [aside, *_uneven_light(mean)]
     systematic = np.linalg.norm([by_bin @ each for each in repeating], axis=0)
-    # a bin's mean is that of its width
+    # a bin's mean is that of its width; and the window takes from the tails what it shows next to frequency 0
     loss = value * (1 - np.sinc(cycles))
-    std = np.linalg.norm([np.sqrt(variance @ slopes**2), systematic, loss], axis=0)
+    cut = value * (1 - even) * abs(1 - value[1])
+    noise = np.sqrt(variance @ slopes**2)
+    std = np.linalg.norm([noise, systematic, loss, cut], axis=0)
     correction = np.minimum(1 / np.maximum(np.sinc(2 * cycles), TINY), MOST_CORRECTION)
-    return cycles * OVERSAMPLING, value * correction, std * correction
+    curve = np.stack([value, std, noise]) * correction
+    return cycles * OVERSAMPLING, *curve
 
 
 def _binned(
