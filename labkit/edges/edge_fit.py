@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from labkit.edges.region import LINE, SHAPE_STDS, Edge, Region, mean_and_slopes
+from labkit.edges.region import LINE, Edge, Region, mean_and_slopes
 from labkit.estimation.climb import NoisePrior
 from labkit.estimation.identifiability import inverse
 from labkit.estimation.levenberg_marquardt import Position, Step, climb, damped_step
@@ -89,7 +89,7 @@ class EdgeState:
     modes : (m,) alpha, waves RMS
     log_noise : (frames, 2)
     defoci : (depths,) beta, waves RMS
-    edges : (regions, 11) theta, see `Edge`
+    edges : (regions, 13) theta, see `Edge`
     """
 
     modes: NDArray[Any]
@@ -236,7 +236,7 @@ class EdgeProblem:
         at = state.places.edges
         for k, region in enumerate(self.regions):
             shape = region.free[LINE:]
-            weak = SHAPE_STDS[shape - LINE] ** -2
+            weak = region.shape_stds**-2
             gradient[at[k][shape]] -= weak * state.edges[k][shape]
             total -= 0.5 * float(weak @ state.edges[k][shape] ** 2)
             information[at[k][shape], at[k][shape]] += weak

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from labkit.arrays import real_array
-from labkit.edges.spread import edge_spread
+from labkit.edges.blur import MOST_NUMBERS, Blur
+from labkit.edges.spread import EdgeBlur, edge_spread
 from labkit.imaging.optics import Optics
 from labkit.types import Bools, Floats, Indices
 
@@ -18,8 +19,9 @@ LINE = 4  # numbers of a straight edge between even sides
 HIGHEST_ORDER = 5  # of the polynomial that is an edge's place
 BOWS = tuple(range(LINE, LINE + HIGHEST_ORDER - 1))
 LIGHT = tuple(range(BOWS[-1] + 1, BOWS[-1] + 4))
+BLUR = tuple(range(LIGHT[-1] + 1, LIGHT[-1] + 1 + MOST_NUMBERS))
 SHAPE_STDS = np.array([10.0] * len(BOWS) + [1.0] * len(LIGHT))
-"""Of the numbers behind the first four, among edges: a prior so wide that it says nothing."""
+"""Of bow and light among edges: a prior so wide that it says nothing."""
 
 
 class Edge(NamedTuple):
@@ -36,6 +38,7 @@ class Edge(NamedTuple):
     near, far : radiance before and beyond the line along the normal, counts
     bow2, bow3, bow4, bow5 : pixels along the normal
     across, along, twist : of the light, relative
+    blur, blur2 : numbers of the blur that no wavefront makes, of the region's kind
     """
 
     angle: float
@@ -49,6 +52,8 @@ class Edge(NamedTuple):
     across: float = 0.0
     along: float = 0.0
     twist: float = 0.0
+    blur: float = 0.0
+    blur2: float = 0.0
 
     @property
     def rise(self) -> float:
@@ -64,7 +69,8 @@ class Edge(NamedTuple):
         # along both axes signs are reversed
         odd = (-self.bow2, self.bow3, -self.bow4, self.bow5)
         light = (-self.across, -self.along, self.twist)
-        return Edge(angle, -self.distance_px, self.far, self.near, *odd, *light)
+        blur = (self.blur, self.blur2)
+        return Edge(angle, -self.distance_px, self.far, self.near, *odd, *light, *blur)
 
     @property
     def departure(self) -> Floats:
@@ -98,6 +104,7 @@ class Region:
     frame, depth, light : places of its noise, its defocus and its colour among those of a problem
     order : of the polynomial that is the edge's place, to be fitted
     even : whether the light is even; else its three numbers are fitted
+    blur : kind of a blur that no wavefront makes; None for none
     half_px : half the size, in which the edge's shape is counted: of a part the whole's; by default the largest distance
         from the centre
 
@@ -115,6 +122,7 @@ class Region:
     light: int = 0
     order: int = 1
     even: bool = True
+    blur: Blur | None = None
     half_px: float = 0.0
 
     def __post_init__(self) -> None:
@@ -138,7 +146,21 @@ class Region:
     def free(self) -> Indices:
         """Places of an edge's fitted numbers."""
         light = () if self.even else LIGHT
-        return np.array([*range(LINE), *BOWS[: self.order - 1], *light])
+        blur = BLUR[: self.blur.size] if self.blur else ()
+        return np.array([*range(LINE), *BOWS[: self.order - 1], *light, *blur])
+
+    @property
+    def shape_stds(self) -> Floats:
+        """(k,) standard deviations of the fitted numbers behind the first four: wide priors about 0."""
+        shape = [k for k in self.free if LINE <= k < BLUR[0]]
+        blur = self.blur.stds if self.blur else ()
+        return np.array([*SHAPE_STDS[np.array(shape, int) - LINE], *blur])
+
+    def blur_of(self, edge: Edge) -> EdgeBlur | None:
+        """Return an edge's blur that no wavefront makes."""
+        if self.blur is None:
+            return None
+        return EdgeBlur(self.blur, edge[BLUR[0] : BLUR[0] + self.blur.size])
 
     def across_and_along(self, edge: Edge) -> tuple[Floats, Floats]:
         """Return distances (n,) beyond the edge along its normal, and along the line, pixels: r and t of thesis (5.1)."""
@@ -194,10 +216,13 @@ def mean_and_slopes(
     at = region.placed(edge)
     pitch_um = optics.pitch_um
     reach_um = float(np.abs(at.across).max()) * pitch_um + pitch_um
-    rows = edge_spread(optics, waves, edge.angle, reach_um).read(at.across * pitch_um)
-    step, line, *by_waves, turning = rows
-    mean, by_edge = blurred_slopes(region, edge, at, step, line * pitch_um, turning)
-    return mean, by_edge, edge.rise * at.light * np.stack(by_waves)
+    blur = region.blur_of(edge)
+    spread = edge_spread(optics, waves, edge.angle, reach_um, blur)
+    step, line, *others = spread.read(at.across * pitch_um)
+    by_waves, turning, by_blur = np.split(np.stack(others), [waves.size, waves.size + 1])
+    mean, by_edge = blurred_slopes(region, edge, at, step, line * pitch_um, turning[0])
+    by_edge = np.concatenate([by_edge, edge.rise * at.light * by_blur])
+    return mean, by_edge, edge.rise * at.light * by_waves
 
 
 def blurred_slopes(
