@@ -74,12 +74,14 @@ class Plane:
     first : (row, column) of the first sample in the raw
     step : pixels from sample to sample
     shifts : (rows,) whole samples that each line begins after the first column; empty for none
+    index : (rows, columns) places of the samples among the pixels of a box; empty where unknown
     """
 
     values: Floats
     first: tuple[float, float] = (0.0, 0.0)
     step: int = 1
     shifts: Floats = field(default_factory=lambda: np.empty(0))
+    index: Indices = field(default_factory=lambda: np.empty((0, 0), int))
 
     @property
     def turned(self) -> Plane:
@@ -88,7 +90,8 @@ class Plane:
             raise ValueError("lines that follow the edge cannot be exchanged with columns")
         row, column = self.first
         last = column + self.step * (self.values.shape[1] - 1)
-        return Plane(np.rot90(self.values), (-last, row), self.step)
+        index = np.rot90(self.index)
+        return Plane(np.rot90(self.values), (-last, row), self.step, index=index)
 
     @property
     def rows(self) -> Floats:
