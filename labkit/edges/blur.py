@@ -48,7 +48,7 @@ class Blur(ABC):
 class GaussianBlur(Blur):
     """Charge diffusion, many small shakes, or a smoothing filter; its number is the variance, pixels squared."""
 
-    words = "a Gaussian blur, as by diffusion of charge or smoothing"
+    words = "a Gaussian blur, as by charge diffusion, smoothing or a shake"
     starts = ((0.1,), (1.0,))
     stds = (4.0,)
 
@@ -64,7 +64,7 @@ class GaussianBlur(Blur):
 class TwoSpots(Blur):
     """An optical low-pass filter; its number is the square of the spots' distance, pixels squared."""
 
-    words = "an optical low-pass filter, or a shake between two places"
+    words = "two spots, as by an optical low-pass filter or a shake"
     starts = ((0.3,), (1.5,))
     stds = (10.0,)
 

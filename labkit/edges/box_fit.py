@@ -20,9 +20,10 @@ from labkit.edges.first_fits import (
     refuse_structure,
     rough_edge,
 )
-from labkit.edges.other_blur import find_blur
+from labkit.edges.other_blur import find_blur, fit_with_blur
 from labkit.edges.ranges import Side
 from labkit.edges.region import Region
+from labkit.edges.response import Response, fitted_response
 from labkit.edges.side_noise import noise_of_sides
 from labkit.errors import DataError, FitError
 from labkit.estimation.climb import NoisePrior
@@ -30,8 +31,6 @@ from labkit.estimation.climb import NoisePrior
 DIFFERENT = 6.0  # standard errors between the defoci of an edge's halves
 DIFFERENT_WAVES = 0.08  # at least, waves RMS
 DIFFERENT_SHARE = 0.1  # at least, of the defocus
-MOST_EXCESS_STDS = 5.0  # of chi-squared a pixel, over its own scatter
-MOST_EXCESS = 0.1  # of it, where the camera's noise is known no better
 MOST_LEFT = 0.06  # of the step: what residuals share with their neighbours, RMS
 SINGULAR = "it holds no edge that can be fitted: the information is singular"
 
@@ -132,14 +131,28 @@ class BoxFit:
         return replace(self, comparison=comparison)
 
     @property
-    def contradicted(self) -> bool:
-        """Return whether the photograph has another response than the fit, or other counts."""
-        if self.comparison is not None and self.comparison.contradicts:
-            return True
+    def chi2_per_pixel(self) -> float:
+        """χ² per pixel against the camera's noise."""
         places = range(self.first, self.first + len(self.task.regions))
         residuals = np.concatenate([self.fit.residuals(k) for k in places])
-        excess = float(np.mean(residuals**2)) - 1
-        return excess > max(MOST_EXCESS_STDS * np.sqrt(2 / residuals.size), MOST_EXCESS)
+        return float(np.mean(residuals**2))
+
+    @property
+    def contradicted(self) -> bool:
+        """Return whether the photograph shows another response than the fit."""
+        return self.comparison is not None and self.comparison.contradicts
+
+    @property
+    def response(self) -> Response:
+        """The fitted response, with what the photograph's has more where the model contradicts it.
+
+        Residuals beyond the camera's noise enlarge its errors by the root of χ².
+        """
+        fitted = fitted_response(self.fit, self.first)
+        fitted = fitted.enlarged(max(1.0, np.sqrt(self.chi2_per_pixel)))
+        if self.comparison is None or not self.contradicted:
+            return fitted
+        return self.comparison.corrected(fitted)
 
     @property
     def fit(self) -> EdgeFit:
@@ -180,11 +193,14 @@ def fit_box(task: BoxTask) -> BoxFit:
 def _with_other_blur(box: BoxFit) -> BoxFit:
     """Return a box with the kind of blur that its response calls for beside the lens's."""
     box = replace(box, task=replace(box.task, regions=box.fit.problem.regions)).compared()
-    other = find_blur(box.ends) if box.contradicted else None
+    if box.comparison is None or not box.contradicted:
+        return box
+    other = find_blur(box.fit, box.comparison)
     if other is None:
         return box
-    task = replace(box.task, regions=other.ends[0].problem.regions)
-    return replace(box, task=task, ends=other.ends, cause=other.cause).compared()
+    ends = fit_with_blur(box.ends, other)
+    task = replace(box.task, regions=ends[0].problem.regions)
+    return replace(box, task=task, ends=ends, cause=other.cause).compared()
 
 
 def _refuse_contradiction(fit: EdgeFit) -> None:

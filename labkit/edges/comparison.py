@@ -13,12 +13,13 @@ import numpy as np
 from labkit.edges.edge_fit import EdgeFit
 from labkit.edges.esfr import Esfr, Plane, esfr
 from labkit.edges.region import mean_and_slopes
-from labkit.edges.response import Response, crossing
+from labkit.edges.response import Response, with_errors
 from labkit.errors import DataError
 from labkit.types import Floats
 
 TOO_FAR = 4.5  # standard errors of the largest difference among a few dozen frequencies
 ALIKE = 0.002  # to which the steps repeat
+LOST = 0.1  # of a difference, at most, by bins and window
 HIGHEST = 0.75  # cycles a sample; beyond, copies of the response are larger than it
 
 
@@ -45,17 +46,19 @@ class Comparison:
         """Return whether the difference is more than noise."""
         return self.pull > TOO_FAR
 
-    def widened(self, response: Response) -> Response:
-        """Return the fit's response with the difference in its errors, where it is more than noise."""
-        excess = np.sqrt((self.difference**2 - self.noise**2).clip(0))
-        # between its zeros the difference is as unknown as beside them
-        near = np.pad(excess, 1, mode="edge")
-        excess = np.max([near[:-2], near[1:-1], near[2:]], axis=0)
+    def corrected(self, response: Response) -> Response:
+        """Return the fit's response with the difference added, for a model that the photograph contradicts.
+
+        Errors hold the noise of the difference and its unknown share that the bins and the window changed.
+        """
         every = response.frequency_per_mm
-        further = np.interp(every, self.frequency_per_mm, excess)
-        std = np.hypot(response.std, further)
-        falls = (crossing(every, response.value, std, level) for level in (0.5, 0.1))
-        return Response(every, response.value, std, *falls)
+        at = self.frequency_per_mm
+        # beyond what was compared the last difference is unknown
+        difference = np.interp(every, at, self.difference, left=0.0, right=0.0)
+        noise = np.interp(every, at, self.noise, left=0.0)
+        unknown = np.where(every > at[-1], abs(self.difference[-1]), LOST * abs(difference))
+        std = np.linalg.norm([response.std, noise, unknown], axis=0)
+        return with_errors(every, response.value + difference, std)
 
 
 def compare(

@@ -1,4 +1,7 @@
-"""The kind of blur that no wavefront makes, of an edge that the lens's own blur does not explain."""
+"""The kind of blur that no wavefront makes, of an edge that the lens's own blur does not explain.
+
+The kind is that which best turns a lens's response into the measured one; then the edge is fitted with it.
+"""
 
 from __future__ import annotations
 
@@ -6,29 +9,38 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import least_squares
 
-from labkit.edges.blur import KINDS, Blur
-from labkit.edges.edge_fit import EXACTLY, ROUGHLY, EdgeFit, EdgeProblem, fit_edges
+from labkit.edges.blur import KINDS, Blur, Sharpening
+from labkit.edges.comparison import ALIKE, Comparison
+from labkit.edges.edge_fit import EdgeFit, fit_edges
 from labkit.edges.first_fits import NEAR_FOCUS, twin
 from labkit.edges.region import BLUR
+from labkit.edges.response import fitted_response
+from labkit.edges.spread import EdgeBlur, camera_slice
+from labkit.optics.mtf import modulus
 from labkit.types import Floats
 
-LEAST_GAIN = 10.0  # of the log-likelihood, less half a logarithm of the pixels for each number
-AS_LIKELY = 5.0  # of the log-likelihood: kinds that may be the true one as well
+LEAST_GAIN = 12.0  # of chi-squared, for each number
+AS_LIKELY = 9.0  # of chi-squared: kinds that may be the true one as well
+BEYOND = 0.02  # of a response above the best lens's: no aberration does that
+USUAL_DEFOCUS_STD = 1.0  # waves RMS
 
 
 @dataclass(frozen=True)
 class OtherBlur:
-    """Fits of an edge with a blur that no wavefront makes.
+    """A blur that no wavefront makes.
 
     Attributes
     ----------
-    ends : of the likeliest kind, best first
-    kinds : it, and others that explain the edge as well
+    blur : of the likeliest kind
+    kinds : it, and others that explain the response as well
+    waves : (modes,) of the lens beside it
     """
 
-    ends: tuple[EdgeFit, ...]
+    blur: EdgeBlur
     kinds: tuple[Blur, ...]
+    waves: Floats
 
     @property
     def cause(self) -> str:
@@ -36,56 +48,118 @@ class OtherBlur:
         return ", or ".join(kind.words for kind in self.kinds)
 
 
-def find_blur(ends: Sequence[EdgeFit]) -> OtherBlur | None:
-    """Fit an edge's ends with each kind of blur; None where none explains it better.
+@dataclass(frozen=True)
+class Measured:
+    """A response that a lens and a kind of blur may explain.
 
-    ends : of fits of one edge, in one frame or several, with the lens's blur alone
+    Attributes
+    ----------
+    fit : of the edge without the blur
+    per_um, value, noise : (f,)
     """
-    best = ends[0]
-    pixels = sum(region.counts.size for region in best.problem.regions)
-    found: dict[Blur, EdgeFit] = {}
+
+    fit: EdgeFit
+    per_um: Floats
+    value: Floats
+    noise: Floats
+
+    @classmethod
+    def of(cls, fit: EdgeFit, comparison: Comparison) -> Measured:
+        """Return the fit's response with what the photograph's has more."""
+        response = fitted_response(fit)
+        per_mm = comparison.frequency_per_mm
+        own = np.interp(per_mm, response.frequency_per_mm, response.value, right=0.0)
+        noise = np.hypot(comparison.noise, ALIKE)
+        return cls(fit, 1e-3 * per_mm, own + comparison.difference, noise)
+
+    @property
+    def beyond_best(self) -> bool:
+        """Return whether the response exceeds that of a lens without aberrations."""
+        flat = np.zeros(len(self.fit.problem.noll))
+        best = np.abs(self._slice(flat, None)[0])
+        return bool(np.any(self.value > best + BEYOND + 3 * self.noise))
+
+    def explained(
+        self, kind: Blur | None, start: Sequence[float], defocus: float
+    ) -> tuple[float, Floats]:
+        """Return chi-squared, priors included, and waves and numbers of the lens and a kind of blur, from a start."""
+        lens = self.fit.problem.lens
+        known = np.append(0.0, lens.mean)
+        root = np.linalg.cholesky(lens.precision).T
+        weight = np.zeros((known.size, known.size))
+        weight[0, 0] = 1 / USUAL_DEFOCUS_STD
+        weight[1:, 1:] = root
+        stds = np.array(kind.stds if kind else ())
+
+        def off(numbers: Floats) -> Floats:
+            value, _ = self._response(numbers, kind)
+            waves, blur = np.split(numbers, [known.size])
+            own = (value - self.value) / self.noise
+            return np.concatenate([own, weight @ (waves - known), blur / stds])
+
+        def slopes(numbers: Floats) -> Floats:
+            _, by_number = self._response(numbers, kind)
+            prior = np.zeros((known.size + stds.size, numbers.size))
+            prior[: known.size, : known.size] = weight
+            prior[known.size :, known.size :] = np.diag(1 / stds)
+            return np.concatenate([(by_number / self.noise).T, prior])
+
+        first = np.concatenate([[defocus], lens.mean, start])
+        end = least_squares(off, first, slopes, max_nfev=30)
+        return 2 * float(end.cost), np.asarray(end.x)
+
+    def _response(self, numbers: Floats, kind: Blur | None) -> tuple[Floats, Floats]:
+        """Return the response (f,) of a lens and a blur, and its slopes (n, f)."""
+        modes = len(self.fit.problem.noll)
+        blur = None if kind is None else EdgeBlur(kind, tuple(numbers[modes:].tolist()))
+        return modulus(*self._slice(numbers[:modes], blur))
+
+    def _slice(self, waves: Floats, blur: EdgeBlur | None) -> tuple[Floats, Floats]:
+        """Return the transfer function along the edge's normal, and its slopes."""
+        fit = self.fit
+        optics = fit.problem.optics_of(0)
+        of = camera_slice(optics, waves, fit.state.edge(0).angle, self.per_um, blur)
+        return of.value, np.concatenate([of.by_waves, of.by_blur])
+
+
+def find_blur(fit: EdgeFit, comparison: Comparison) -> OtherBlur | None:
+    """Return the kind of blur that explains an edge's response; None where the lens alone explains it as well."""
+    measured = Measured.of(fit, comparison)
+    own = abs(fit.defocus()[0])
+    defoci = sorted({NEAR_FOCUS[0], max(own, NEAR_FOCUS[0])})
+    alone = min(measured.explained(None, (), defocus)[0] for defocus in defoci)
+    costs: dict[Blur, float] = {}
+    ends: dict[Blur, Floats] = {}
     for kind in KINDS:
-        fits = [fit for end in ends for fit in _fits(end, kind)]
-        if fits:
-            found[kind] = max(fits, key=lambda fit: fit.objective)
-    values = {
-        kind: fit.objective - kind.size * np.log(pixels) / 2 for kind, fit in found.items()
-    }
-    if not values or max(values.values()) < best.objective + LEAST_GAIN:
+        if isinstance(kind, Sharpening) and not measured.beyond_best:
+            continue
+        for start in kind.starts:
+            for defocus in defoci:
+                cost, end = measured.explained(kind, start, defocus)
+                blurs = isinstance(kind, Sharpening) or end[len(fit.problem.noll)] > 0
+                if blurs and cost < costs.get(kind, alone - kind.size * LEAST_GAIN):
+                    costs[kind] = cost
+                    ends[kind] = end
+    if not costs:
         return None
-    kinds = sorted(values, key=lambda kind: -values[kind])
-    likely = [kind for kind in kinds if values[kind] > values[kinds[0]] - AS_LIKELY]
-    fit = fit_edges(found[kinds[0]].problem, found[kinds[0]].state, EXACTLY)
-    both = (fit,) if np.any(fit.problem.lens.mean) else (fit, twin(fit))
-    return OtherBlur(both, tuple(likely))
+    kinds = sorted(costs, key=lambda kind: costs[kind])
+    likely = [kind for kind in kinds if costs[kind] < costs[kinds[0]] + AS_LIKELY]
+    waves, numbers = np.split(ends[kinds[0]], [len(fit.problem.noll)])
+    return OtherBlur(EdgeBlur(kinds[0], tuple(numbers.tolist())), tuple(likely), waves)
 
 
-def _fits(end: EdgeFit, kind: Blur) -> list[EdgeFit]:
-    """Return fits with a kind of blur, from where a fit without it ended and from best focus."""
+def fit_with_blur(ends: Sequence[EdgeFit], other: OtherBlur) -> tuple[EdgeFit, ...]:
+    """Fit an edge with a blur that no wavefront makes; the ends without it where they are likelier."""
+    end = ends[0]
+    kind = other.blur.kind
     regions = tuple(replace(region, blur=kind) for region in end.problem.regions)
     problem = replace(end.problem, regions=regions)
-    focused = np.copysign(NEAR_FOCUS[0], end.state.defoci)
-    usual = problem.lens.mean.copy()
-    starts = [(focused, usual, numbers) for numbers in kind.starts]
-    starts.append((end.state.defoci, end.state.modes, kind.starts[0]))
-    fits = []
-    for defoci, modes, numbers in starts:
-        try:
-            fits.append(_fitted(end, problem, defoci, modes, numbers))
-        except np.linalg.LinAlgError:
-            continue
-    return fits
-
-
-def _fitted(
-    end: EdgeFit,
-    problem: EdgeProblem,
-    defoci: Floats,
-    modes: Floats,
-    numbers: Sequence[float],
-) -> EdgeFit:
-    """Fit a problem from a start."""
     edges = end.state.edges.copy()
-    edges[:, BLUR[: len(numbers)]] = numbers
-    start = replace(end.state, defoci=defoci, modes=modes, edges=edges)
-    return fit_edges(problem, start, ROUGHLY)
+    edges[:, BLUR[: kind.size]] = other.blur.numbers
+    defoci = np.full(1, other.waves[0])
+    start = replace(end.state, defoci=defoci, modes=other.waves[1:], edges=edges)
+    fit = fit_edges(problem, start)
+    if fit.objective < end.objective:
+        return tuple(ends)
+    known = np.any(fit.problem.lens.mean)
+    return (fit,) if known else (fit, twin(fit))

@@ -42,6 +42,16 @@ class Response:
         )
         return Uncertain(value, std)
 
+    def enlarged(self, factor: float) -> Response:
+        """Return the response with errors enlarged by a factor."""
+        return with_errors(self.frequency_per_mm, self.value, factor * self.std)
+
+
+def with_errors(per_mm: Floats, value: Floats, std: Floats) -> Response:
+    """Return a response (n,) at frequencies (n,), with errors (n,)."""
+    falls = (crossing(per_mm, value, std, level) for level in (0.5, 0.1))
+    return Response(per_mm, value, std, *falls)
+
 
 def fitted_response(fit: EdgeFit, k: int = 0) -> Response:
     """Return the response of a region's edge, up to twice the raw's Nyquist frequency or the lens's cutoff.
@@ -84,9 +94,7 @@ def response_along(
     of = camera_slice(optics, waves, azimuth, frequency, blur)
     value, gradient = modulus(of.value, np.concatenate([of.by_waves, of.by_blur]))
     std = np.sqrt(np.einsum("if,ij,jf->f", gradient, covariance, gradient).clip(0))
-    per_mm = 1e3 * frequency
-    falls = (crossing(per_mm, value, std, level) for level in (0.5, 0.1))
-    return Response(per_mm, value, std, *falls)
+    return with_errors(1e3 * frequency, value, std)
 
 
 def crossing(frequency: Floats, value: Floats, std: Floats, level: float) -> Uncertain:

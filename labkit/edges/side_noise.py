@@ -16,6 +16,7 @@ MOST_STDS = 4.0  # of a residual: others are dust or hot pixels
 AS_SURE = 1e-2
 """Relative error that the noise keeps in a fit: residuals of a poor model must not enlarge it."""
 
+LEAST_START = 0.01  # of the prior's numbers
 LEAST_VARIANCE = 1 / 24  # counts squared: half of what rounding makes
 
 
@@ -41,7 +42,12 @@ def noise_of_sides(rough: RoughEdge, prior: NoisePrior) -> NoisePrior:
         own = weight * (np.log(gain * mean + read) - wanted)
         return np.concatenate([own, (logs - prior.centre) * np.sqrt(prior.precision)])
 
-    gain, read = np.exp(least_squares(off, prior.centre).x)
+    # from the line through both: far from it the read noise is too small to matter
+    dark, bright = np.argsort(mean)
+    rise = (variances[bright] - variances[dark]) / max(mean[bright] - mean[dark], 1.0)
+    start = [rise, variances[dark] - rise * mean[dark]]
+    floor = np.exp(prior.centre) * LEAST_START
+    gain, read = np.exp(least_squares(off, np.log(np.maximum(start, floor))).x)
     return NoisePrior(float(gain), AS_SURE, float(read), AS_SURE)
 
 
