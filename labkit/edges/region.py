@@ -73,6 +73,11 @@ class Edge(NamedTuple):
         return Edge(angle, -self.distance_px, self.far, self.near, *odd, *light, *blur)
 
     @property
+    def bow_px(self) -> float:
+        """How far the edge departs from its line along it, from least to most."""
+        return float(np.ptp(legendre.legval(np.linspace(-1, 1, 41), self.departure)))
+
+    @property
     def departure(self) -> Floats:
         """(6,) coefficients of Legendre's series of the distance from the line by the place along it, half sizes."""
         bows = np.array(self[LINE : LINE + len(BOWS)])
