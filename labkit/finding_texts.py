@@ -183,12 +183,12 @@ TEXTS = {
         "box {at}, channel {channel}: no lens makes its blur: {cause}; the response includes it"
     ),
     "edge-bowed": (
-        "box {at}, channel {channel}: the edge is curved by {bow_px:.1f} pixels, which the straight line of ISO 12233:2017 takes "
-        "for blur: leave --edition 2017 out"
+        "box {at}, channel {channel}: the edge is curved by {bow_px:.1f} pixels, which the straight line of ISO 12233:2017 "
+        "takes for blur: leave --edition 2017 out"
     ),
     "edges-without-common-wavefront": (
-        "no wavefront explains the edges together, and each was fitted alone: the camera moved during the exposure, or the lens "
-        "differs from edge to edge"
+        "no wavefront explains the edges together, and each was fitted alone: the camera moved during the exposure, or the "
+        "lens differs from edge to edge"
     ),
     # charts
     "chart-edges-left-out": "left out: {cut} edges cut by the frame, {clipped} clipped",

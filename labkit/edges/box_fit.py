@@ -9,9 +9,9 @@ import numpy as np
 
 from labkit.edges.boxes import ChannelFrame, Place
 from labkit.edges.camera import Camera
+from labkit.edges.comparison import Comparison, compare
 from labkit.edges.defocus_sides import sides_of
 from labkit.edges.edge_fit import EXACTLY, ROUGHLY, EdgeFit, EdgeProblem
-from labkit.edges.comparison import Comparison, compare
 from labkit.edges.esfr import LATEST, Esfr, Plane, esfr
 from labkit.edges.first_fits import (
     RoughEdge,

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from labkit.edges.blur import Motion, Sharpening
 from labkit.edges.box_fit import BoxFit, fit_box
 from labkit.edges.boxes import Place
 from labkit.edges.defocus_sides import near_focus, side_of
@@ -19,6 +20,7 @@ from labkit.types import Floats
 
 MOST_JOINT = 10  # boxes that a wavefront is estimated with: more add little information, and take long
 CONTRADICTS = 5.0  # standard errors from the mean of the others
+OTHER_DIRECTION = np.sqrt(0.5)  # sine between the normals of edges
 ALIKE_WAVES = 0.01  # RMS by which defoci of one range may differ, for a curved field and a tilted sensor
 
 
@@ -40,6 +42,29 @@ def by_channel(boxes: Sequence[BoxFit]) -> dict[str, list[BoxFit]]:
     """Return the boxes of each colour."""
     names = dict.fromkeys(of.channel for of in boxes)
     return {name: [of for of in boxes if of.channel == name] for name in names}
+
+
+def name_motion(boxes: Sequence[BoxFit]) -> list[BoxFit]:
+    """Return boxes with motion as the cause of a blur that edges of the other direction lack.
+
+    Diffusion and filters blur all directions.
+    """
+
+    def angle(box: BoxFit) -> float:
+        return box.fit.state.edge(box.first).angle
+
+    named = []
+    for of in boxes:
+        others = [
+            other
+            for other in boxes
+            if other.channel == of.channel
+            and abs(np.sin(angle(other) - angle(of))) > OTHER_DIRECTION
+        ]
+        clean = [other for other in others if not other.cause and not other.contradicted]
+        blurred = of.cause and of.cause != Sharpening.words
+        named.append(replace(of, cause=Motion.words) if blurred and clean else of)
+    return named
 
 
 def correlation(boxes: Sequence[BoxFit]) -> Floats | None:

@@ -62,7 +62,11 @@ class Comparison:
 
 
 def compare(
-    planes: tuple[Plane, ...], box: tuple[slice, slice], measured: Esfr, fit: EdgeFit, k: int
+    planes: tuple[Plane, ...],
+    box: tuple[slice, slice],
+    measured: Esfr,
+    fit: EdgeFit,
+    k: int,
 ) -> Comparison | None:
     """Return what the response by ISO 12233 has more than a region's fit; None where the fit's cannot be measured.
 

@@ -32,7 +32,9 @@ LEAST_DEPTH = 4  # samples on either side of the edge
 OUTERMOST = (2, 98)  # percentiles of distances from the edge
 POOLED = 9  # bins
 MOST_CORRECTION = 10.0  # of the derivative's own response
-ABOUT = 2 * OVERSAMPLING  # bins on either side of the edge, of which no two neighbours may be empty
+ABOUT = (
+    2 * OVERSAMPLING
+)  # bins on either side of the edge, of which no two neighbours may be empty
 PASSES = 2  # of the edge's place, and of the samples' places in their bins
 HIGHEST_FREQUENCY = 2.0  # cycles a sample, up to which curves are given
 TINY = 1e-9  # in place of a divisor of 0
@@ -85,7 +87,7 @@ class Plane:
 
     @property
     def turned(self) -> Plane:
-        """The plane turned by 90 degrees, its rows counted by the columns' negatives. Raises ValueError where lines are shifted."""
+        """The plane turned by 90 degrees, its rows counted by the columns' negatives. ValueError where lines are shifted."""
         if self.shifts.size:
             raise ValueError("lines that follow the edge cannot be exchanged with columns")
         row, column = self.first
@@ -296,9 +298,7 @@ def _response(
     return cycles * OVERSAMPLING, *curve
 
 
-def _binned(
-    samples: Floats, bins: Indices, count: int
-) -> tuple[Floats, Floats, Floats]:
+def _binned(samples: Floats, bins: Indices, count: int) -> tuple[Floats, Floats, Floats]:
     """Return each bin's mean (count,) at its middle, its variance, and the last change by the samples' places.
 
     Where lines cross the edge at few places between samples, as at slopes near 1/3 and 2/5, a bin's samples are all off its

@@ -11,7 +11,12 @@ from labkit.analysis.measured_camera import check_same_camera
 from labkit.edges.box_fit import BoxFit, BoxTask, fit_box
 from labkit.edges.boxes import ChannelFrame, Place, read_frames
 from labkit.edges.camera import Camera, camera_of, focus_law
-from labkit.edges.common_fits import contradictions, correlation, in_common
+from labkit.edges.common_fits import (
+    contradictions,
+    correlation,
+    in_common,
+    name_motion,
+)
 from labkit.edges.edge_fit import EdgeFit
 from labkit.edges.esfr import EDITIONS, LATEST, Esfr
 from labkit.edges.found_edges import Box
@@ -111,6 +116,7 @@ def measure_edges(
     if one_range:
         why |= contradictions(fits)
     fits = in_common([of for of in fits if of.task.place not in why], one_range)
+    fits = name_motion(fits)
     known = [[of for of in fits if of.task.place == place] for place in places]
     edges = tuple(_measured(of, law) for of in known if of)
     findings += [

@@ -73,7 +73,7 @@ class ChannelEdge:
     bow_px: float = 0.0
 
     def disagreement(self, box: Box) -> list[Finding]:
-        """Report what the lens's blur does not explain, in a box: another blur, something unknown, or a straight line's error."""
+        """Report what the lens does not explain, in a box: another blur, something unknown, or a straight line's error."""
         words = {"at": _box_words(box)}
         numbers: dict[str, Any] = {"box": box, "channel": self.channel}
         if self.other_blur:

@@ -15,7 +15,8 @@ def test_slopes_are_those_of_differences(kind: Blur, sign: float) -> None:
         numbers = sign * np.array(start)
         steps = 1e-6 * np.eye(kind.size)
         found = [
-            (kind.transfer(NU, [*(numbers + h)]) - kind.transfer(NU, [*(numbers - h)])) / 2e-6
+            (kind.transfer(NU, [*(numbers + h)]) - kind.transfer(NU, [*(numbers - h)]))
+            / 2e-6
             for h in steps
         ]
         np.testing.assert_allclose(kind.slopes(NU, [*numbers]), found, rtol=1e-5, atol=1e-6)

@@ -143,7 +143,9 @@ def test_the_lines_of_a_found_edge_run_along_it(angle_deg: float) -> None:
         assert np.abs(lines.values).max() < most
         assert len(lines.values) >= 15
     # the crossing is in the middle of each line
-    crossing = np.argmin(np.abs(lines_along(Plane(across, (100.0, 200.0)), found).values), 1)
+    crossing = np.argmin(
+        np.abs(lines_along(Plane(across, (100.0, 200.0)), found).values), 1
+    )
     assert np.ptp(crossing) <= 1
 
 
