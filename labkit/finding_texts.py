@@ -180,12 +180,26 @@ TEXTS = {
     ),
     "psf-of-another-camera": "PSF of another camera, by force: {difference}",
     "edge-methods-disagree": (
-        "box {at}, channel {channel}: MTF50 is {fit} by the fit and {iso} by ISO 12233, more apart than their errors allow: "
-        "see whether the box holds one straight edge between even sides"
+        "box {at}, channel {channel}: the photograph's response is not the fit's, by {pull:.1f} standard errors, and the fit's "
+        "was corrected: see whether the box holds one edge between even sides, and whether a program changed the photograph"
+    ),
+    "edge-blurred-otherwise": (
+        "box {at}, channel {channel}: no lens makes its blur: {cause}; the response includes it"
+    ),
+    "edge-bowed": (
+        "box {at}, channel {channel}: the edge is curved by {bow_px:.1f} pixels, which the straight line of ISO 12233:2017 "
+        "takes for blur: leave --edition 2017 out"
+    ),
+    "edges-without-common-wavefront": (
+        "no wavefront explains the edges together, and each was fitted alone: the camera moved during the exposure, or the "
+        "lens differs from edge to edge"
     ),
     # charts
     "chart-edges-left-out": "left out: {cut} edges cut by the frame, {clipped} clipped",
     "chart-edges-not-fitted": "{count} edges of the chart gave no fit, most as: {why}",
+    "chart-edges-blurred-otherwise": (
+        "{count} of {edges} edges, channel {channel}: no lens makes their blur: {cause}; the responses include it"
+    ),
     "chart-edges-along-pixels": (
         "{count} of {edges} edges run within 1 degree of rows or columns and are badly sampled: turn the chart by 5 degrees"
     ),

@@ -9,13 +9,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from labkit.edges.boxes import ChannelFrame, Place
-from labkit.edges.found_edges import LEAST_STEP, PIECE, FoundEdge, edge_pieces
+from labkit.edges.found_edges import CORNER, LEAST_STEP, PIECE, FoundEdge, edge_pieces
 from labkit.errors import DataError
 
 Cell = tuple[int, int]
 """Row and column of a place in the grid."""
 
-CORNER = 12.0  # samples at the end of an edge, which the next edge of its square blurs
 NEIGHBOUR_LENGTHS = (
     1.5  # lengths of a piece: pieces that are farther apart are of different edges
 )

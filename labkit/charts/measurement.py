@@ -39,6 +39,7 @@ PLACES_ACROSS = 7
 EDGES_EACH = 2  # of either direction, at a place
 CONTRADICTED = 1e-3  # probability of the defoci if the law and the ranges were right
 FITTING = "fitting places"
+UNKNOWN_CAUSE = "motion, or a program that changed the photograph"
 
 
 @one_thread
@@ -273,6 +274,7 @@ def _findings(
     if rejected:
         why = Counter(rejected).most_common(1)[0][0]
         findings.append(found("chart-edges-not-fitted", count=len(rejected), why=why))
+    findings += _other_blur(outcome)
     along = sum(is_aligned(edge.of.angle_deg) for edge in outcome.edges)
     if along:
         findings.append(
@@ -287,10 +289,27 @@ def _findings(
         factor, p = law_misfit(every)
         if p < CONTRADICTED:
             findings.append(found("chart-ranges-contradicted", channel=name, factor=factor))
-    for name, every in outcome.foci.items():
-        factor, p = law_misfit(every)
-        if p < CONTRADICTED:
-            findings.append(found("chart-ranges-contradicted", channel=name, factor=factor))
     if any(of.sign_open for every in outcome.foci.values() for of in every):
         findings.append(found("chart-focus-sign-open"))
+    return findings
+
+
+def _other_blur(outcome: ChartOutcome) -> list[Finding]:
+    """Return for each channel how many edges are blurred as no lens does, and the commonest cause."""
+    findings = []
+    for name in outcome.channels:
+        edges = [edge.of for edge in outcome.edges if edge.channel == name]
+        odd = [of for of in edges if of.cause or of.comparison is not None]
+        if odd:
+            causes = Counter(of.cause for of in odd if of.cause)
+            cause = causes.most_common(1)[0][0] if causes else UNKNOWN_CAUSE
+            findings.append(
+                found(
+                    "chart-edges-blurred-otherwise",
+                    count=len(odd),
+                    edges=len(edges),
+                    channel=name,
+                    cause=cause,
+                )
+            )
     return findings

@@ -15,7 +15,7 @@ from labkit.charts.chart_edges import is_aligned
 from labkit.charts.focal_surface import FOCUS_KINDS, FocalSurface, PlaceFocus
 from labkit.charts.place_fit import EdgeResponse, PlaceFit
 from labkit.edges.outcome import Backdrop
-from labkit.edges.response import Response, response_along
+from labkit.edges.response import Response, response_along, with_errors
 from labkit.files import write_folder
 from labkit.findings import Finding
 from labkit.optics.field import FieldFrame
@@ -87,6 +87,8 @@ class ChartEdge:
             "kind": self.kind,
             "along_pixels": is_aligned(self.of.angle_deg),
             "chi2_per_pixel": self.of.chi2_per_pixel,
+            "contradiction_stds": self.of.comparison and self.of.comparison.pull,
+            "other_blur": self.of.cause or None,
             **_responses(self.of.fitted),
             "esfr_mtf50_per_mm": None if iso is None else iso.mtf50,
         }
@@ -115,13 +117,25 @@ class ChartPlace:
 
     @cached_property
     def responses(self) -> dict[str, Response]:
-        """Responses along the radius, T, and across, S, by the joint wavefront."""
+        """Responses along the radius, T, and across, S, by the joint wavefront, and what edges of the direction show more."""
         waves, covariance = self.fit.wavefront(self.depth)
         radial = float(np.arctan2(*self.height_mm))
         return {
-            kind: response_along(self.fit.optics, waves, covariance, radial + turn)
+            kind: self._corrected(
+                kind, response_along(self.fit.optics, waves, covariance, radial + turn)
+            )
             for kind, turn in (("S", np.pi / 2), ("T", 0.0))
         }
+
+    def _corrected(self, kind: str, response: Response) -> Response:
+        """Return a response with the mean of what the edges of its direction show more, where they contradict the wavefront."""
+        own = [edge.of.comparison for edge in self.edges if edge.kind in (kind, "C")]
+        if not any(own):
+            return response
+        every = [response if of is None else of.corrected(response) for of in own]
+        values = np.array([of.value for of in every])
+        std = np.hypot(np.mean([of.std for of in every], axis=0), values.std(axis=0))
+        return with_errors(response.frequency_per_mm, values.mean(axis=0), std)
 
     def known(self, kind: str) -> bool:
         """Return whether the edges determine S or T: on a diagonal, edges at 45° do not, whatever the fit's error."""

@@ -15,9 +15,10 @@ from labkit.charts.chart_edges import Cell
 from labkit.edges.box_fit import BoxFit, BoxTask, fit_box
 from labkit.edges.camera import Camera
 from labkit.edges.common_fits import joint_problem
+from labkit.edges.comparison import Comparison
 from labkit.edges.edge_fit import ROUGHLY, EdgeFit, EdgeProblem, LensPrior, fit_edges
 from labkit.edges.esfr import Esfr
-from labkit.edges.response import Response, fitted_response
+from labkit.edges.response import Response
 from labkit.imaging.optics import Optics
 from labkit.optics.zernike import noll_to_nm
 from labkit.types import Floats
@@ -63,7 +64,9 @@ class EdgeResponse:
     angle_deg : of its normal, from x (right) towards y (down)
     length_px : of the line within its region
     fitted, iso : responses by the fit and by ISO 12233
-    chi2_per_pixel : of the fit
+    chi2_per_pixel : of the fit, against the camera's noise
+    comparison : of its response by ISO 12233 with the joint fit's, where they contradict each other; None otherwise
+    cause : of a blur that no lens makes, in words, empty without one
     """
 
     photograph: int
@@ -73,6 +76,8 @@ class EdgeResponse:
     fitted: Response
     iso: Esfr | None
     chi2_per_pixel: float
+    comparison: Comparison | None = None
+    cause: str = ""
 
 
 @dataclass(frozen=True)
@@ -128,7 +133,9 @@ def fit_place(task: PlaceTask) -> PlaceFit:
     law = task.law_waves[photographs]
     known = [boxes[k] for k in fitted]
     problem, placed = joint_problem(known, depths)
-    problem = replace(problem, lens=place_prior(problem.noll[1:]))
+    # what no lens makes is in no direction but its own: the place has the lens, and each edge what it shows more
+    regions = tuple(replace(region, blur=None) for region in problem.regions)
+    problem = replace(problem, regions=regions, lens=place_prior(problem.noll[1:]))
     try:
         joint = _likeliest(problem, known, law)
     except np.linalg.LinAlgError:
@@ -136,7 +143,8 @@ def fit_place(task: PlaceTask) -> PlaceFit:
             empty, rejected=(*rejected, *("the information is singular" for _ in known))
         )
     edges = tuple(
-        _edge(joint, of, task.photograph[k]) for k, of in zip(fitted, placed, strict=True)
+        _edge(joint, replace(of, ends=(joint,)).compared(), task.photograph[k])
+        for k, of in zip(fitted, placed, strict=True)
     )
     places = joint.state.places
     at = np.append(places.defoci, places.modes)
@@ -165,9 +173,11 @@ def _edge(joint: EdgeFit, of: BoxFit, photograph: int) -> EdgeResponse:
         middle,
         float(np.degrees(edge.towards_light.angle)),
         float(np.ptp(along)),
-        fitted_response(joint, of.first),
+        of.response,
         of.iso,
-        float(np.mean(joint.residuals(of.first) ** 2)),
+        of.chi2_per_pixel,
+        of.comparison if of.contradicted else None,
+        of.cause,
     )
 
 

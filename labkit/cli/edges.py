@@ -67,6 +67,13 @@ Most = Annotated[
         min=1, metavar="N", help="Edges that are looked for where no box is given."
     ),
 ]
+Edition = Annotated[
+    int,
+    typer.Option(
+        metavar="YEAR",
+        help="Of ISO 12233 for the e-SFR; 2017 has a straight line and Hamming's window.",
+    ),
+]
 Out = Annotated[
     Path | None,
     typer.Option(
@@ -90,6 +97,7 @@ def edges(
     channel: Channels = None,
     one_range: OneRange = False,
     most: Most = 60,
+    edition: Edition = 2023,
     out: Out = None,
     force: Force = False,
     workers: Workers = None,
@@ -111,6 +119,7 @@ def edges(
             channels=channel,
             one_range=one_range,
             most=most,
+            edition=edition,
             force=force,
             workers=workers,
             progress=report,

@@ -9,13 +9,24 @@ import numpy as np
 
 from labkit.edges.boxes import ChannelFrame, Place
 from labkit.edges.camera import Camera
+from labkit.edges.comparison import Comparison, compare
 from labkit.edges.defocus_sides import sides_of
 from labkit.edges.edge_fit import EXACTLY, ROUGHLY, EdgeFit, EdgeProblem
-from labkit.edges.esfr import Esfr, Plane, esfr
-from labkit.edges.first_fits import fit_depth, halves, refuse_structure, rough_edge
+from labkit.edges.esfr import LATEST, Esfr, Plane, esfr
+from labkit.edges.first_fits import (
+    RoughEdge,
+    fit_depth,
+    halves,
+    refuse_structure,
+    rough_edge,
+)
+from labkit.edges.other_blur import find_blur, fit_with_blur
 from labkit.edges.ranges import Side
 from labkit.edges.region import Region
+from labkit.edges.response import Response, fitted_response
+from labkit.edges.side_noise import noise_of_sides
 from labkit.errors import DataError, FitError
+from labkit.estimation.climb import NoisePrior
 
 DIFFERENT = 6.0  # standard errors between the defoci of an edge's halves
 DIFFERENT_WAVES = 0.08  # at least, waves RMS
@@ -33,15 +44,25 @@ class BoxTask:
     place, camera : the box, and the camera in this colour
     regions : one for each frame
     planes : samples of the first frame for ISO 12233; empty if some are clipped
+    edition : of the standard
+    noises : of each frame, by the sides of the edge; empty before they are measured
     """
 
     place: Place
     camera: Camera
     regions: tuple[Region, ...]
     planes: tuple[Plane, ...]
+    edition: int = LATEST
+    noises: tuple[NoisePrior, ...] = ()
 
     @classmethod
-    def of(cls, frames: Sequence[ChannelFrame], camera: Camera, place: Place) -> BoxTask:
+    def of(
+        cls,
+        frames: Sequence[ChannelFrame],
+        camera: Camera,
+        place: Place,
+        edition: int = LATEST,
+    ) -> BoxTask:
         """Return the task of one box in all frames. Raises DataError for too few pixels."""
         regions = tuple(of.region(place, j) for j, of in enumerate(frames))
         # rounding adds to the read noise
@@ -49,13 +70,13 @@ class BoxTask:
         read_variance = camera.noise.read_variance + rounding
         noise = replace(camera.noise, read_variance=read_variance)
         camera = replace(camera, noise=noise)
-        return cls(place, camera, regions, frames[0].planes(place))
+        return cls(place, camera, regions, frames[0].planes(place), edition)
 
     @property
     def problem(self) -> EdgeProblem:
         """All frames of the box, of one depth."""
         camera = self.camera
-        noises = (camera.noise,) * len(self.regions)
+        noises = self.noises or (camera.noise,) * len(self.regions)
         return EdgeProblem((camera.optics,), self.regions, noises, camera.lens)
 
     def measured(self) -> tuple[Esfr | None, str]:
@@ -63,10 +84,15 @@ class BoxTask:
         if not self.planes:
             return None, "clipped pixels are in the box"
         try:
-            found = esfr(self.planes, self.camera.optics.pitch_um)
+            found = esfr(self.planes, self.camera.optics.pitch_um, self.edition)
         except DataError as error:
             return None, str(error)
         return found, found.problem
+
+    def with_noise(self, rough: Sequence[RoughEdge]) -> BoxTask:
+        """Return the task with the noise that both sides of each rough edge have."""
+        noises = tuple(noise_of_sides(of, self.camera.noise) for of in rough)
+        return replace(self, noises=noises)
 
 
 @dataclass(frozen=True)
@@ -81,6 +107,8 @@ class BoxFit:
     why : why it was rejected
     iso, iso_problem : response by ISO 12233; why it or its MTF50 is missing
     first, depth : places of the box's first region and of its defocus in the fit
+    comparison : of the response by ISO 12233 with the fit's; None where there is none
+    cause : of a blur that no wavefront makes, in words, empty without one
     """
 
     task: BoxTask
@@ -91,6 +119,40 @@ class BoxFit:
     iso_problem: str = ""
     first: int = 0
     depth: int = 0
+    comparison: Comparison | None = None
+    cause: str = ""
+
+    def compared(self) -> BoxFit:
+        """Return the box with its fit compared with its response by ISO 12233."""
+        task = self.task
+        if self.iso is None or not self.ends:
+            return self
+        comparison = compare(task.planes, task.place.slices, self.iso, self.fit, self.first)
+        return replace(self, comparison=comparison)
+
+    @property
+    def chi2_per_pixel(self) -> float:
+        """χ² per pixel against the camera's noise."""
+        places = range(self.first, self.first + len(self.task.regions))
+        residuals = np.concatenate([self.fit.residuals(k) for k in places])
+        return float(np.mean(residuals**2))
+
+    @property
+    def contradicted(self) -> bool:
+        """Return whether the photograph shows another response than the fit."""
+        return self.comparison is not None and self.comparison.contradicts
+
+    @property
+    def response(self) -> Response:
+        """The fitted response, with what the photograph's has more where the model contradicts it.
+
+        Residuals beyond the camera's noise enlarge its errors by the root of χ².
+        """
+        fitted = fitted_response(self.fit, self.first)
+        fitted = fitted.enlarged(max(1.0, np.sqrt(self.chi2_per_pixel)))
+        if self.comparison is None or not self.contradicted:
+            return fitted
+        return self.comparison.corrected(fitted)
 
     @property
     def fit(self) -> EdgeFit:
@@ -112,16 +174,33 @@ def fit_box(task: BoxTask) -> BoxFit:
             of.refuse_no_edge()
         iso, problem = task.measured()
         box = replace(box, iso=iso, iso_problem=problem)
+        rough = [of.with_shape() for of in rough]
         for of in rough:
             of.refuse_uneven()
+        task = task.with_noise(rough)
         ends = fit_depth(task.problem, rough, EXACTLY if task.camera.given else ROUGHLY)
+        box = _with_other_blur(replace(box, task=task, ends=ends))
+        ends = box.ends
         _refuse_contradiction(ends[0])
         sides = sides_of(ends) if task.camera.given else ()
     except (DataError, FitError) as error:
-        return replace(box, why=str(error))
+        return replace(box, ends=(), why=str(error))
     except np.linalg.LinAlgError:
-        return replace(box, why=SINGULAR)
-    return replace(box, ends=ends, sides=sides)
+        return replace(box, ends=(), why=SINGULAR)
+    return replace(box, sides=sides)
+
+
+def _with_other_blur(box: BoxFit) -> BoxFit:
+    """Return a box with the kind of blur that its response calls for beside the lens's."""
+    box = replace(box, task=replace(box.task, regions=box.fit.problem.regions)).compared()
+    if box.comparison is None or not box.contradicted:
+        return box
+    other = find_blur(box.fit, box.comparison)
+    if other is None:
+        return box
+    ends = fit_with_blur(box.ends, other)
+    task = replace(box.task, regions=ends[0].problem.regions)
+    return replace(box, task=task, ends=ends, cause=other.cause).compared()
 
 
 def _refuse_contradiction(fit: EdgeFit) -> None:

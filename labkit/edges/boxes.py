@@ -10,16 +10,19 @@ from typing import NamedTuple
 import numpy as np
 
 from labkit.edges.esfr import Plane
-from labkit.edges.found_edges import Box, FoundEdge, find_edges
+from labkit.edges.found_edges import DEEP, Box, FoundEdge, find_edges
 from labkit.edges.region import LEAST_REGION_PIXELS, Region
 from labkit.errors import DataError
 from labkit.photographs.decoding import read_photograph
 from labkit.photographs.photograph import Photograph
 from labkit.plan import Plan
 from labkit.plan.sensor import ChannelPixels
-from labkit.types import Bools, Floats
+from labkit.types import Bools, Counts, Floats
 
 LEAST_BOX_SIDE_PX = 12  # of a box
+LEAST_PILE = 0.02  # of the bright pixels, at one count
+MOST_TOP = 3.0  # of the next counts' pixels, which noise alone leaves at the highest
+NEXT_BELOW = 3  # counts
 DEPTH_PX = 16.0  # of a found edge's sides, in samples of its channel
 
 
@@ -38,11 +41,24 @@ class Place:
 
 
 class BoxPixels(NamedTuple):
-    """Pixels (rows, columns) of a box: counts above black, whether usable for a channel, and counts² of rounding."""
+    """Pixels (rows, columns) of a box.
+
+    Attributes
+    ----------
+    light, rounding : counts above black, and counts² of rounding
+    usable : whether usable for a channel
+    counts : (n,) of all of the channel's, black included
+    """
 
     light: Floats
     usable: Bools
     rounding: Floats
+    counts: Counts
+
+    @property
+    def pile(self) -> Pile | None:
+        """Highest count where clipping piled many up; None otherwise."""
+        return find_pile(self.counts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,18 +105,27 @@ class ChannelFrame:
         starts = [side.start // cell * cell for side in place.slices]
         whole = tuple(map(slice, starts, place.box[2:]))
         around = replace(self.part, counts=self.part.counts[whole])
-        usable = around.channel_mask(self.name) & ~around.saturated
+        own = around.channel_mask(self.name)
+        usable = own & ~around.saturated
         (r0, c0), (top, left) = place.box[:2], starts
         inside = np.s_[r0 - top :, c0 - left :]
         return BoxPixels(
-            around.light[inside], usable[inside], around.rounding_variance[inside]
+            around.light[inside],
+            usable[inside],
+            around.rounding_variance[inside],
+            around.counts[inside][own[inside]],
         )
 
     def region(self, place: Place, frame: int) -> Region:
         """Return the usable pixels in a box, or around the found edge. Raises DataError for a wrong box, and for too few."""
         if place.found is None:
             _refuse_box(place.box, self.part.shape)
-        light, used, _ = self.read(place)
+        pixels = self.read(place)
+        if (pile := pixels.pile) is not None:
+            raise DataError(
+                f"its bright side is clipped: {pile.share:.0%} of it is at one count, {pile.count}; expose less"
+            )
+        light, used = pixels.light, pixels.usable
         y, x = np.mgrid[place.slices].astype(float)
         r0, c0, r1, c1 = place.box
         centre = ((r0 + r1 - 1) / 2, (c0 + c1 - 1) / 2)
@@ -114,21 +139,92 @@ class ChannelFrame:
         return Region(y[used], x[used], light[used], centre, frame)
 
     def planes(self, place: Place) -> tuple[Plane, ...]:
-        """Return a box's samples by plane, all of equal size; none if a sample is clipped."""
-        light, usable, _ = self.read(place)
+        """Return a box's samples by plane, all of equal size, in lines along an edge that was found; none if a sample is
+        clipped.
+        """
+        pixels = self.read(place)
+        if pixels.pile is not None:
+            return ()
+        light, usable = pixels.light, pixels.usable
         step = self.pixels.period
         r0, c0, *_ = place.box
-        firsts = [
-            ((row - r0) % step, (column - c0) % step) for row, column in self.pixels.places
-        ]
-        cuts = [np.s_[row::step, column::step] for row, column in firsts]
-        if not all(usable[cut].all() for cut in cuts):
+        light = np.where(usable, light, np.nan)
+        index = np.arange(light.size).reshape(light.shape)
+        planes = []
+        for row, column in self.pixels.places:
+            down, right = (row - r0) % step, (column - c0) % step
+            cut = np.s_[down::step, right::step]
+            plane = Plane(light[cut], (r0 + down, c0 + right), step, index=index[cut])
+            planes.append(plane if place.found is None else lines_along(plane, place.found))
+        if any(np.isnan(plane.values).any() for plane in planes):
             return ()
-        rows, columns = np.min([light[cut].shape for cut in cuts], axis=0)
+        rows, columns = np.min([plane.values.shape for plane in planes], axis=0)
         return tuple(
-            Plane(light[cut][:rows, :columns], (r0 + row, c0 + column), step)
-            for cut, (row, column) in zip(cuts, firsts, strict=True)
+            replace(
+                plane,
+                values=plane.values[:rows, :columns],
+                shifts=plane.shifts[:rows],
+                index=plane.index[:rows, :columns],
+            )
+            for plane in planes
         )
+
+
+def lines_along(plane: Plane, found: FoundEdge) -> Plane:
+    """Return the lines of a plane that cross a found edge, each as far as the edge's sides are known to be even.
+
+    A rectangle about a slanted edge would hold the corners where its sides end.
+    """
+    row, column = found.middle
+    angle = found.angle
+    if abs(np.sin(angle)) > abs(np.cos(angle)):
+        plane = plane.turned
+        row, column = -column, row
+        angle = float(np.arctan2(-np.cos(angle), np.sin(angle)))
+    cosine, sine = abs(np.cos(angle)), abs(np.sin(angle))
+    width = plane.values.shape[1]
+    off = plane.rows - row
+    middle = np.rint((column - off * np.tan(angle) - plane.first[1]) / plane.step)
+    border = np.minimum(middle, width - 1 - middle)
+    half = min(int(DEEP / cosine), int(border[np.argmin(np.abs(off))]))
+    inside = np.abs(off) / cosine + half * plane.step * sine <= found.length_px / 2
+    inside &= border >= half
+    kept = slice(np.argmax(inside), inside.size - np.argmax(inside[::-1]))
+    begins = middle[kept].astype(int).clip(half, width - 1 - half) - half
+    at = begins[:, None] + np.arange(2 * half + 1)
+    values = np.take_along_axis(plane.values[kept], at, axis=1)
+    index = plane.index
+    if index.size:
+        index = np.take_along_axis(index[kept], at, axis=1)
+    first = (float(plane.rows[kept][0]), plane.first[1])
+    return Plane(values, first, plane.step, np.asarray(begins, np.float64), index)
+
+
+class Pile(NamedTuple):
+    """Counts that are all one: the count, and its share of an edge's bright pixels."""
+
+    count: int
+    share: float
+
+
+def find_pile(counts: Counts) -> Pile | None:
+    """Return the highest count of an edge where clipping piled it up, None otherwise.
+
+    Noise would spread it: fewer pixels have the highest count than the next below, or the dark side has none either.
+    """
+    if not counts.size:
+        return None
+    values, many = np.unique(counts, return_counts=True)
+    middle = (float(values[0]) + float(values[-1])) / 2
+    bright = many[values > middle]
+    if not bright.size:
+        return None
+    share = float(bright[-1] / bright.sum())
+    dark = counts[counts <= middle].astype(float)
+    steps = np.diff(np.sort(dark)[[len(dark) // 4, 3 * len(dark) // 4]])
+    below = bright[-1 - NEXT_BELOW : -1]
+    piled = share > LEAST_PILE and (not below.size or bright[-1] > MOST_TOP * below.max())
+    return Pile(int(values[-1]), share) if piled and np.all(steps > 0) else None
 
 
 def read_frames(paths: Sequence[Path], plan: Plan) -> list[Photograph]:

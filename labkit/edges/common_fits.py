@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from labkit.edges.blur import Motion, Sharpening
 from labkit.edges.box_fit import BoxFit, fit_box
 from labkit.edges.boxes import Place
 from labkit.edges.defocus_sides import near_focus, side_of
@@ -14,10 +15,12 @@ from labkit.edges.edge_fit import EdgeFit, EdgeProblem, fit_edges
 from labkit.edges.first_fits import fit_jointly, twin
 from labkit.edges.ranges import Side
 from labkit.edges.region import Region
+from labkit.estimation.climb import NoisePrior
 from labkit.types import Floats
 
 MOST_JOINT = 10  # boxes that a wavefront is estimated with: more add little information, and take long
 CONTRADICTS = 5.0  # standard errors from the mean of the others
+OTHER_DIRECTION = np.sqrt(0.5)  # sine between the normals of edges
 ALIKE_WAVES = 0.01  # RMS by which defoci of one range may differ, for a curved field and a tilted sensor
 
 
@@ -25,7 +28,8 @@ def in_common(boxes: Sequence[BoxFit], one_range: bool) -> list[BoxFit]:
     """Fit boxes again with what they have in common.
 
     With a given wavefront only a declared range is common. An estimated wavefront is common to all edges and
-    colours, and does not determine the side of best focus.
+    colours, and does not determine the side of best focus; where it contradicts an edge that its own wavefront explains,
+    as motion in one direction makes it, each edge keeps its own.
     """
     if boxes and not boxes[0].task.camera.given:
         return _with_wavefront(boxes, one_range)
@@ -38,6 +42,29 @@ def by_channel(boxes: Sequence[BoxFit]) -> dict[str, list[BoxFit]]:
     """Return the boxes of each colour."""
     names = dict.fromkeys(of.channel for of in boxes)
     return {name: [of for of in boxes if of.channel == name] for name in names}
+
+
+def name_motion(boxes: Sequence[BoxFit]) -> list[BoxFit]:
+    """Return boxes with motion as the cause of a blur that edges of the other direction lack.
+
+    Diffusion and filters blur all directions.
+    """
+
+    def angle(box: BoxFit) -> float:
+        return box.fit.state.edge(box.first).angle
+
+    named = []
+    for of in boxes:
+        others = [
+            other
+            for other in boxes
+            if other.channel == of.channel
+            and abs(np.sin(angle(other) - angle(of))) > OTHER_DIRECTION
+        ]
+        clean = [other for other in others if not other.cause and not other.contradicted]
+        blurred = of.cause and of.cause != Sharpening.words
+        named.append(replace(of, cause=Motion.words) if blurred and clean else of)
+    return named
 
 
 def correlation(boxes: Sequence[BoxFit]) -> Floats | None:
@@ -120,10 +147,24 @@ def joint_problem(
     problem = EdgeProblem(
         tuple(of.optics[0] for of in problems),
         tuple(regions),
-        tuple(noise for of in problems for noise in of.noise),
+        tuple(noise for every in by_channel(boxes).values() for noise in _noises(every)),
         problems[0].lens,
     )
     return problem, placed
+
+
+def _noises(boxes: Sequence[BoxFit]) -> list[NoisePrior]:
+    """Return the noise of each frame of a colour: the mean, of logarithms, over boxes."""
+    every = [of.task.problem.noise for of in boxes]
+    return [
+        NoisePrior(
+            float(np.exp(np.mean([np.log(of.gain) for of in frame]))),
+            frame[0].gain_std,
+            float(np.exp(np.mean([np.log(of.read_variance) for of in frame]))),
+            frame[0].read_variance_std,
+        )
+        for frame in zip(*every, strict=True)
+    ]
 
 
 def _of_one_range(boxes: Sequence[BoxFit]) -> list[BoxFit]:
@@ -134,7 +175,7 @@ def _of_one_range(boxes: Sequence[BoxFit]) -> list[BoxFit]:
     edges = np.concatenate([end.state.edges for end in ends])
     fit = fit_edges(problem, problem.start([start], edges))
     sides = near_focus(fit) or _both(fit, boxes)
-    return [replace(of, ends=(fit,), sides=sides) for of in placed]
+    return [replace(of, ends=(fit,), sides=sides).compared() for of in placed]
 
 
 def _both(fit: EdgeFit, boxes: Sequence[BoxFit]) -> tuple[Side, ...]:
@@ -163,7 +204,26 @@ def _with_wavefront(boxes: Sequence[BoxFit], one_range: bool) -> list[BoxFit]:
     few = few if one_range else few[:MOST_JOINT]
     joint = _fitted_along([of for of in clear if of.task.place in few], one_range)
     others = [of for of in clear if of.task.place not in few]
-    return joint + [_with_lens(of, joint[0].fit) for of in others]
+    together = joint + [_with_lens(of, joint[0].fit) for of in others]
+    if not one_range and _pulled(together, clear):
+        return [_alone(of) for of in clear]
+    return together
+
+
+def _pulled(together: Sequence[BoxFit], alone: Sequence[BoxFit]) -> bool:
+    """Return whether a common wavefront contradicts an edge that its own does not."""
+    own = {(of.task.place, of.channel): of for of in alone}
+    return any(
+        of.contradicted and not own[of.task.place, of.channel].contradicted
+        for of in together
+    )
+
+
+def _alone(box: BoxFit) -> BoxFit:
+    """Return a box with its own wavefront, which does not determine the side of best focus."""
+    fit = fit_edges(box.fit.problem, box.fit.state)
+    ends = (fit, twin(fit))
+    return replace(box, ends=ends, sides=tuple(map(side_of, ends))).compared()
 
 
 def _with_lens(box: BoxFit, joint: EdgeFit) -> BoxFit:
@@ -172,7 +232,8 @@ def _with_lens(box: BoxFit, joint: EdgeFit) -> BoxFit:
     known = fit_box(replace(box.task, camera=camera, planes=()))
     ends = known.ends or box.ends
     side = known.sides[0] if known.sides else side_of(ends[0])
-    return replace(box, ends=ends, sides=(side, replace(side, defocus=-side.defocus)))
+    sides = (side, replace(side, defocus=-side.defocus))
+    return replace(box, ends=ends, sides=sides).compared()
 
 
 def _fitted_along(boxes: Sequence[BoxFit], one_range: bool) -> list[BoxFit]:
@@ -196,6 +257,8 @@ def _fitted_along(boxes: Sequence[BoxFit], one_range: bool) -> list[BoxFit]:
     joint = fit_jointly(problem, start, groups)
     ends = (joint, twin(joint))
     return [
-        replace(of, ends=(joint,), sides=tuple(side_of(end, of.depth) for end in ends))
+        replace(
+            of, ends=(joint,), sides=tuple(side_of(end, of.depth) for end in ends)
+        ).compared()
         for of in placed
     ]

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from labkit.edges.region import Edge, Region, mean_and_slopes
+from labkit.edges.region import LINE, Edge, Region, mean_and_slopes
 from labkit.estimation.climb import NoisePrior
 from labkit.estimation.identifiability import inverse
 from labkit.estimation.levenberg_marquardt import Position, Step, climb, damped_step
@@ -89,7 +89,7 @@ class EdgeState:
     modes : (m,) alpha, waves RMS
     log_noise : (frames, 2)
     defoci : (depths,) beta, waves RMS
-    edges : (regions, 4) theta, see `Edge`
+    edges : (regions, 13) theta, see `Edge`
     """
 
     modes: NDArray[Any]
@@ -209,7 +209,8 @@ class EdgeProblem:
         )
         gain, read_variance = np.exp(state.log_noise[region.frame])
         at = state.places
-        places = [self.wavefront(at, k), at.edges[k], at.log_noise[region.frame]]
+        edge = at.edges[k][region.free]
+        places = [self.wavefront(at, k), edge, at.log_noise[region.frame]]
         of_mean = np.concatenate([by_waves, by_edge])
         return Slopes(mean, gain, read_variance, of_mean=of_mean), np.concatenate(places)
 
@@ -232,6 +233,16 @@ class EdgeProblem:
         away = vector[known] - mean
         gradient[known] -= precision @ away
         information[known, known] += precision
+        at = state.places.edges
+        for k, region in enumerate(self.regions):
+            shape = region.free[LINE:]
+            weak = region.shape_stds**-2
+            gradient[at[k][shape]] -= weak * state.edges[k][shape]
+            total -= 0.5 * float(weak @ state.edges[k][shape] ** 2)
+            information[at[k][shape], at[k][shape]] += weak
+            # numbers that are not fitted are known, in no relation to others
+            held = np.delete(at[k], region.free)
+            information[held, held] = 1.0
         return total - 0.5 * float(away @ precision @ away), gradient, information
 
     @cached_property

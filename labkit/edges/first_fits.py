@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 from scipy import ndimage
@@ -24,8 +25,18 @@ from labkit.edges.edge_fit import (
     LensPrior,
     fit_edges,
 )
-from labkit.edges.region import Edge, Region, mean_and_slopes
+from labkit.edges.region import (
+    BOWS,
+    HIGHEST_ORDER,
+    LIGHT,
+    LINE,
+    Edge,
+    Region,
+    blurred_slopes,
+    mean_and_slopes,
+)
 from labkit.errors import DataError
+from labkit.estimation.identifiability import inverse
 from labkit.estimation.likelihood import NormalCounts
 from labkit.imaging.optics import Optics
 from labkit.optics.lens import blur_per_wave_um
@@ -45,6 +56,7 @@ CELL_PX = 6.0  # length of the cells whose mean residuals show structure, twice 
 FEWEST_IN_CELL = 4
 WIDTHS_PX = (1.0, 5.0)  # of rough edges, to begin with
 LARGEST_LOG_WIDTH = 5.0
+MOST_STEPS = 30  # of a rough fit
 NO_STRAIGHT_EDGE = (
     "it holds no straight edge between two even sides: what {left} varies by {share:.0%} of the step, at most {most:.0%} is "
     "allowed; take a smaller box"
@@ -53,7 +65,7 @@ NO_STRAIGHT_EDGE = (
 
 @dataclass(frozen=True)
 class RoughEdge:
-    """The edge of a region, blurred by a Gaussian of standard deviation width_px."""
+    """The edge of a region, with the free numbers of its shape, blurred by a Gaussian of standard deviation width_px."""
 
     region: Region
     edge: Edge
@@ -62,9 +74,40 @@ class RoughEdge:
     @cached_property
     def residuals(self) -> Floats:
         """Counts less the blurred edge's, (n,)."""
-        across, _ = self.region.across_and_along(self.edge)
-        blurred = self.edge.near + self.edge.rise * ndtr(across / self.width_px)
-        return np.asarray(self.region.counts - blurred)
+        return np.asarray(self.region.counts - self.mean_and_slopes()[0])
+
+    def mean_and_slopes(self) -> tuple[Floats, Floats]:
+        """Return mean counts (n,), and slopes (k + 1, n) by the edge's free numbers and by the logarithm of the width."""
+        at = self.region.placed(self.edge)
+        r = at.across / self.width_px
+        line = np.exp(-(r**2) / 2) / np.sqrt(2 * np.pi) / self.width_px
+        turning = np.zeros_like(r)
+        mean, slopes = blurred_slopes(self.region, self.edge, at, ndtr(r), line, turning)
+        by_width = -self.edge.rise * at.light * line * at.across
+        return mean, np.vstack([slopes, by_width])
+
+    def with_shape(self) -> RoughEdge:
+        """Return the edge with as many numbers of its shape, and of uneven light, as the counts call for.
+
+        Their number is that of the least Bayesian information criterion, by the costs of leaving numbers out of a fit with all.
+        """
+        every = _settled(replace(self, region=replace(self.region, order=5, even=False)))
+        left = every.residuals
+        _, slopes = every.mean_and_slopes()
+        information = slopes @ slopes.T
+        scale = np.sqrt(np.diag(information))
+        covariance = inverse(information / np.outer(scale, scale))
+        numbers = np.array(every.edge)[every.region.free] * scale[:-1]
+        costs = {}
+        for order, even in product(range(1, HIGHEST_ORDER + 1), (True, False)):
+            out = [*BOWS[order - 1 :], *(LIGHT if even else ())]
+            fall = 0.0
+            if out:
+                within = np.linalg.inv(covariance[np.ix_(out, out)])
+                fall = float(numbers[out] @ within @ numbers[out]) / np.mean(left**2)
+            costs[order, even] = fall - len(out) * np.log(left.size)
+        order, even = min(costs, key=lambda of: costs[of])
+        return _settled(replace(self, region=replace(self.region, order=order, even=even)))
 
     @property
     def explained(self) -> float:
@@ -128,9 +171,33 @@ def rough_edge(region: Region) -> RoughEdge:
     if best.explained < 2 * LEAST_EXPLAINED:  # try other directions than the plane's
         others = [fitted(first + turn) for turn in np.pi / 4 * np.arange(1, 8)]
         best = max([best, *others], key=lambda rough: rough.explained)
-    angle, distance_px, near, far = best.edge
+    angle, distance_px, near, far, *_ = best.edge
     edge = Edge(angle, distance_px, near * scale, far * scale)
     return RoughEdge(region, edge, best.width_px)
+
+
+def _settled(rough: RoughEdge) -> RoughEdge:
+    """Fit all free numbers of an edge, and its width, from a start."""
+    free = rough.region.free
+    rise = abs(rough.edge.rise)
+    scale = np.ones(len(Edge._fields))
+    scale[2:LINE] = rise
+
+    def at(numbers: Floats) -> RoughEdge:
+        edge = np.zeros(len(Edge._fields))
+        edge[free] = numbers[:-1] * scale[free]
+        width_px = float(np.exp(min(numbers[-1], LARGEST_LOG_WIDTH)))
+        return replace(rough, edge=Edge(*edge.tolist()), width_px=width_px)
+
+    def slopes(numbers: Floats) -> Floats:
+        _, by_number = at(numbers).mean_and_slopes()
+        return np.asarray(-by_number.T * np.append(scale[free], 1.0) / rise)
+
+    start = np.append(np.array(rough.edge)[free] / scale[free], np.log(rough.width_px))
+    end = least_squares(
+        lambda numbers: at(numbers).residuals / rise, start, slopes, max_nfev=MOST_STEPS
+    )
+    return at(end.x)
 
 
 def refuse_structure(
@@ -191,6 +258,35 @@ def fit_depth(
     """
     if problem.depths != 1:
         raise ValueError(f"{problem.depths} depths: one is searched at a time")
+    regions = [
+        replace(region, order=of.region.order, even=of.region.even)
+        for region, of in zip(problem.regions, rough, strict=True)
+    ]
+    ends = _both_sides(replace(problem, regions=tuple(regions)), rough, tolerance)
+    uneven = [k for k, region in enumerate(regions) if not region.even]
+    seeming = [k for k in uneven if not _light_is_uneven(ends[0], k)]
+    if not seeming:
+        return ends
+    # a Gaussian's tails are not the camera's: light that only made up for the difference is left out
+    even = list(rough)
+    for k in seeming:
+        regions[k] = replace(regions[k], even=True)
+        even[k] = replace(rough[k], edge=rough[k].edge._replace(across=0, along=0, twist=0))
+    return _both_sides(replace(problem, regions=tuple(regions)), even, tolerance)
+
+
+def _light_is_uneven(fit: EdgeFit, k: int) -> bool:
+    """Return whether the counts of a region call for uneven light, by the Bayesian information criterion."""
+    places = fit.state.places.edges[k, list(LIGHT)]
+    light = fit.state.edges[k, list(LIGHT)]
+    gain = float(light @ np.linalg.solve(fit.among(places), light))
+    return gain > light.size * float(np.log(fit.problem.regions[k].counts.size))
+
+
+def _both_sides(
+    problem: EdgeProblem, rough: Sequence[RoughEdge], tolerance: float
+) -> tuple[EdgeFit, ...]:
+    """Return the ends of fits on both sides of best focus, the likelier first; of equal ones only that."""
     edges = [of.edge for of in rough]
     widths = enumerate(of.width_px for of in rough)
     likely = np.median([likely_defocus(problem.optics_of(k), w) for k, w in widths])
@@ -275,9 +371,11 @@ def halves(fit: EdgeFit, k: int = 0) -> list[EdgeFit]:
     edge = fit.state.edge(k)
     _, along = region.across_and_along(edge)
     alone = replace(fit.problem.alone(k), lens=LensPrior.known(fit.state.modes))
+    # a half shows too little of the shape: that of the whole stays
+    whole = replace(alone.regions[0], order=1, even=True)
     before = along < np.median(along)
     try:
-        parts = [alone.regions[0].part(chosen) for chosen in (before, ~before)]
+        parts = [whole.part(chosen) for chosen in (before, ~before)]
     except ValueError:
         return []
     problems = [replace(alone, regions=(part,)) for part in parts]

@@ -17,6 +17,7 @@ Box = tuple[int, int, int, int]
 """Rows and columns r0, c0, r1, c1 of the raw, the last ones not included."""
 
 PIECE = 48.0  # length of the pieces of a segment, samples of the picture
+CORNER = 12.0  # samples at the end of an edge, which the next edge of its square blurs
 SHORTEST = 20.0  # length of a segment, samples
 DEEP = 14.0  # depth of the sides of a piece, samples
 MOST_UNEVEN_SIDE = 0.12  # of the step: a side's own standard deviation, where noise alone does not explain it
@@ -82,20 +83,22 @@ def find_edges(picture: Floats, most: int = 60) -> list[FoundEdge]:
     most : number of edges
     """
     found: list[FoundEdge] = []
-    edges = [edge for edge in edge_pieces(picture) if edge.step > LEAST_STEP]
+    pieces = edge_pieces(picture, CORNER, short=True)
+    edges = [edge for edge in pieces if edge.step > LEAST_STEP]
     for edge in sorted(edges, key=lambda edge: -edge.step * edge.length_px):
         if len(found) < most and all(edge.apart(other) for other in found):
             found.append(edge)
     return found
 
 
-def edge_pieces(picture: Floats, trim: float = 0.0) -> list[FoundEdge]:
+def edge_pieces(picture: Floats, trim: float, short: bool = False) -> list[FoundEdge]:
     """Find pieces of straight segments, several upon one edge.
 
     Parameters
     ----------
     picture : (rows, columns) of a colour, counts above black
     trim : left out at either end of a segment, samples
+    short : whether segments that are too short for it lose less
 
     Returns
     -------
@@ -113,9 +116,10 @@ def edge_pieces(picture: Floats, trim: float = 0.0) -> list[FoundEdge]:
     for line in [] if lines is None else lines.reshape(-1, 2, 2).astype(float):
         start, end = line[:, ::-1]
         length = float(np.hypot(*(end - start)))
-        if length - 2 * trim >= SHORTEST:
-            cut = trim / length * (end - start)
-            count = max(1, round((length - 2 * trim) / PIECE))
+        left_out = min(trim, max(length - SHORTEST, 0) / 2) if short else trim
+        if length - 2 * left_out >= SHORTEST:
+            cut = left_out / length * (end - start)
+            count = max(1, round((length - 2 * left_out) / PIECE))
             ends = np.linspace(start + cut, end - cut, count + 1)
             pieces += [_piece(picture, *piece) for piece in pairwise(ends)]
     return pieces

@@ -11,13 +11,17 @@ from labkit.analysis.measured_camera import check_same_camera
 from labkit.edges.box_fit import BoxFit, BoxTask, fit_box
 from labkit.edges.boxes import ChannelFrame, Place, read_frames
 from labkit.edges.camera import Camera, camera_of, focus_law
-from labkit.edges.common_fits import contradictions, correlation, in_common
+from labkit.edges.common_fits import (
+    contradictions,
+    correlation,
+    in_common,
+    name_motion,
+)
 from labkit.edges.edge_fit import EdgeFit
-from labkit.edges.esfr import Esfr
+from labkit.edges.esfr import EDITIONS, LATEST, Esfr
 from labkit.edges.found_edges import Box
 from labkit.edges.outcome import ChannelEdge, EdgesOutcome, MeasuredEdge, RejectedEdge
 from labkit.edges.ranges import AS_LIKELY, EdgeRange, FocusLaw, edge_range
-from labkit.edges.response import fitted_response
 from labkit.errors import DataError
 from labkit.execute import Workers, default_workers
 from labkit.findings import each_once, found
@@ -45,6 +49,7 @@ def measure_edges(
     channels: Sequence[str] | None = None,
     one_range: bool = False,
     most: int = MOST_EDGES,
+    edition: int = LATEST,
     force: bool = False,
     workers: int | None = None,
     progress: Progress = no_progress,
@@ -63,6 +68,7 @@ def measure_edges(
     channels : channels to measure; None for all
     one_range : whether all edges are at the same range
     most : largest number of edges in a search
+    edition : of ISO 12233 for the e-SFR: 2023 or 2017
     force : whether to take a session of another camera
     workers : number of processes, by default as many as cores
     progress : called as the work goes on
@@ -78,6 +84,10 @@ def measure_edges(
 
     >>> labkit.measure_edges("chart.dng", "plan.toml", psf="night-3").edges
     """
+    if edition not in EDITIONS:
+        raise DataError(
+            f"edition {edition} of ISO 12233: allowed are {', '.join(map(str, EDITIONS))}"
+        )
     paths = [images] if isinstance(images, Path | str) else images
     plan = plan if isinstance(plan, Plan) else Plan.load(Path(plan))
     results = psf if psf is None or isinstance(psf, Results) else Results.load(psf)
@@ -101,11 +111,12 @@ def measure_edges(
         )
     focused = None if law is None else float(np.mean(law.focus_mm))
     cameras = [camera_of(plan, name, results, first.full_light, focused) for name in names]
-    every, why = _fitted(photographs, cameras, places, workers, progress)
+    every, why = _fitted(photographs, cameras, places, edition, workers, progress)
     fits = [of for of in every if of.ends and of.task.place not in why]
     if one_range:
         why |= contradictions(fits)
     fits = in_common([of for of in fits if of.task.place not in why], one_range)
+    fits = name_motion(fits)
     known = [[of for of in fits if of.task.place == place] for place in places]
     edges = tuple(_measured(of, law) for of in known if of)
     findings += [
@@ -114,7 +125,10 @@ def measure_edges(
         for channel in edge.channels
         for finding in channel.disagreement(edge.box)
     ]
-    wavefront = _wavefront(fits[0].fit) if fits and results is None else {}
+    together = len({id(of.fit) for of in fits}) < len(fits) or len(fits) == 1
+    if results is None and fits and not together:
+        findings.append(found("edges-without-common-wavefront"))
+    wavefront = _wavefront(fits[0].fit) if results is None and together else {}
     return EdgesOutcome(edges, _rejected(every, why), tuple(each_once(findings)), wavefront)
 
 
@@ -136,6 +150,7 @@ def _fitted(
     photographs: Sequence[Photograph],
     cameras: Sequence[Camera],
     places: Sequence[Place],
+    edition: int,
     workers: int | None,
     progress: Progress,
 ) -> tuple[list[BoxFit], dict[Place, str]]:
@@ -146,7 +161,7 @@ def _fitted(
         frames = [ChannelFrame.of(of, camera.channel) for of in photographs]
         for place in places:
             try:
-                tasks.append(BoxTask.of(frames, camera, place))
+                tasks.append(BoxTask.of(frames, camera, place, edition))
             except DataError as error:
                 faults[place].append(str(error))
     tasks.sort(key=lambda task: places.index(task.place))
@@ -194,8 +209,6 @@ def _channel_edge(of: BoxFit) -> ChannelEdge:
     error = fit.std.edge(of.first)
     bright = edge.towards_light
     near, far = (error.near, error.far) if edge.rise >= 0 else (error.far, error.near)
-    places = range(of.first, of.first + len(of.task.regions))
-    residuals = np.concatenate([fit.residuals(k) for k in places])
     least = max(side.log_likelihood for side in of.sides) - AS_LIKELY / 2
     others = [
         Uncertain(side.defocus, side.std, "waves")
@@ -209,11 +222,14 @@ def _channel_edge(of: BoxFit) -> ChannelEdge:
         Uncertain(np.degrees(bright.angle), np.degrees(error.angle), "deg"),
         Uncertain(bright.near, near, "counts"),
         Uncertain(bright.far, far, "counts"),
-        float(np.mean(residuals**2)),
-        residuals.size,
-        fitted_response(fit, of.first),
+        of.chi2_per_pixel,
+        sum(region.counts.size for region in of.task.regions),
+        of.response,
         of.iso,
         of.iso_problem,
+        of.comparison.pull if of.comparison is not None and of.contradicted else None,
+        of.cause,
+        edge.bow_px,
     )
 
 

@@ -14,6 +14,7 @@ import scipy.fft
 from numpy.polynomial import chebyshev
 from scipy.interpolate import BSpline, make_interp_spline
 
+from labkit.edges.blur import Blur
 from labkit.imaging.optics import Optics
 from labkit.optics.mtf import steepness, turning_transfer_function
 from labkit.optics.wavefront import FittedWavefront
@@ -42,17 +43,33 @@ class Slice:
     value : (f,)
     by_waves : (modes, f) per wave RMS
     by_azimuth : (f,) per radian
+    by_blur : (numbers, f) of a blur that no wavefront makes
     """
 
     value: Complexes
     by_waves: Complexes
     by_azimuth: Complexes
+    by_blur: Complexes
 
 
-def camera_slice(optics: Optics, waves: Floats, azimuth: float, frequency: Floats) -> Slice:
+@dataclass(frozen=True)
+class EdgeBlur:
+    """A blur of one edge that no wavefront makes: its kind and its numbers."""
+
+    kind: Blur
+    numbers: tuple[float, ...]
+
+
+def camera_slice(
+    optics: Optics,
+    waves: Floats,
+    azimuth: float,
+    frequency: Floats,
+    blur: EdgeBlur | None = None,
+) -> Slice:
     """Return the slice at frequencies (f,), cycles/um, in any order.
 
-    waves: (modes,) RMS at the reference; azimuth: radians from x (right) towards y (down).
+    waves: (modes,) RMS at the reference; azimuth: radians from x (right) towards y (down); blur: of the edge.
     Thesis §5.2.3, with the active pixel in the place of the sampling period (2.45, corrected).
     """
     slices = [
@@ -65,7 +82,15 @@ def camera_slice(optics: Optics, waves: Floats, azimuth: float, frequency: Float
         _beyond(optics, azimuth + turn, frequency) for turn in (0.0, -TURN, TURN)
     )
     by_azimuth = turning * beyond + value * (high - low) / (2 * TURN)
-    return Slice(value * beyond, by_waves * beyond, by_azimuth)
+    plain = value * beyond
+    if blur is None:
+        none = np.empty((0, frequency.size), complex)
+        return Slice(plain, by_waves * beyond, by_azimuth, none)
+    per_px = frequency * optics.pitch_um
+    further = blur.kind.transfer(per_px, blur.numbers)
+    by_blur = plain * blur.kind.slopes(per_px, blur.numbers)
+    by_waves = by_waves * beyond * further
+    return Slice(plain * further, by_waves, by_azimuth * further, by_blur)
 
 
 def _lens_slice(
@@ -120,16 +145,20 @@ class EdgeSpread:
     reach_um: float
 
     def read(self, r_um: Floats) -> Floats:
-        """Return rows (modes + 3, n) at distances (n,).
+        """Return rows (modes + 3 + numbers, n) at distances (n,).
 
         They are the edge-spread function; its slope by r, which is the line-spread function; its slopes by each mode, per
-        wave RMS, and by the azimuth at r held, per radian.
+        wave RMS, by the azimuth at r held, per radian, and by the numbers of the edge's blur.
         """
         return np.asarray(self.spline(r_um).T)
 
 
 def edge_spread(
-    optics: Optics, waves: Floats, azimuth: float, reach_um: float
+    optics: Optics,
+    waves: Floats,
+    azimuth: float,
+    reach_um: float,
+    blur: EdgeBlur | None = None,
 ) -> EdgeSpread:
     """Return the edge-spread function of a camera for an edge whose normal has an azimuth, radians from x
     towards y.
@@ -143,11 +172,12 @@ def edge_spread(
     period_um = SPREAD_PERIODS * max(reach_um, LEAST_REACH * airy_um)
     radians = 2 * np.pi / period_um  # of the train, in a um
     harmonic = np.arange(1, int(period_um / airy_um) + 1, 2)
-    of = camera_slice(optics, waves, azimuth, harmonic / period_um)
+    of = camera_slice(optics, waves, azimuth, harmonic / period_um, blur)
     size = scipy.fft.next_fast_len(int(FINER * period_um / airy_um), real=True)
     to_step = 1 / (0.5j * np.pi * harmonic)
     line = 4 / period_um * of.value
     steps = [of.value * to_step, line, *of.by_waves * to_step, of.by_azimuth * to_step]
+    steps += [*of.by_blur * to_step]
     spectrum = np.zeros((len(steps), size // 2 + 1), complex)
     spectrum[:, harmonic] = steps
     every = scipy.fft.irfft(spectrum, size, axis=1, norm="forward") / 2

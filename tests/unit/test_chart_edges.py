@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from labkit.charts.chart_edges import chart_edges, grid, is_aligned
-from labkit.edges.boxes import ChannelFrame, Place
-from labkit.edges.found_edges import FoundEdge
+from labkit.edges.boxes import ChannelFrame, Place, lines_along
+from labkit.edges.esfr import Plane
+from labkit.edges.found_edges import DEEP, FoundEdge
 from labkit.errors import DataError
 from labkit.photographs.photograph import Photograph
 from labkit.types import Floats
@@ -126,7 +127,26 @@ def test_an_edge_at_the_border_of_a_later_plane_has_its_box_in_the_frame() -> No
     place = frame.found_at(FoundEdge((0, 72, 60, 100), (30.0, 86.0), 0.0, 48.0, 1.0))
     assert place.box == (0, 145, 120, 200)
     assert frame.region(place, 0).counts.size > 1000
-    assert [plane.values.shape for plane in frame.planes(place)] == 2 * [(60, 27)]
+    # as many lines as the edge is long
+    assert [plane.values.shape for plane in frame.planes(place)] == 2 * [(48, 25)]
+
+
+@pytest.mark.parametrize("angle_deg", [3.0, 22.0, 40.0, 84.0, -130.0])
+def test_the_lines_of_a_found_edge_run_along_it(angle_deg: float) -> None:
+    angle = np.radians(angle_deg)
+    row, column = np.mgrid[100:180.0, 200:280.0]
+    across = (column - 239.3) * np.cos(angle) + (row - 141.2) * np.sin(angle)
+    along = (row - 141.2) * np.cos(angle) - (column - 239.3) * np.sin(angle)
+    found = FoundEdge((100, 200, 180, 280), (141.2, 239.3), angle, 60.0, 1.0)
+    for values, most in ((across, DEEP + 1), (along, 30.5)):
+        lines = lines_along(Plane(values, (100.0, 200.0)), found)
+        assert np.abs(lines.values).max() < most
+        assert len(lines.values) >= 15
+    # the crossing is in the middle of each line
+    crossing = np.argmin(
+        np.abs(lines_along(Plane(across, (100.0, 200.0)), found).values), 1
+    )
+    assert np.ptp(crossing) <= 1
 
 
 def test_pixels_of_a_box_are_those_of_the_whole_frame() -> None:

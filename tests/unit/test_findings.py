@@ -182,11 +182,28 @@ SAMPLES = [
     found(
         "edge-methods-disagree",
         None,
-        {"at": "1,2,30,40", "fit": "55.3 ± 1.0 cycles/mm", "iso": "87.4 ± 1.7 cycles/mm"},
+        {"at": "1,2,30,40"},
         box=[1, 2, 30, 40],
         channel="G",
-        fit_per_mm=55.3,
-        iso_per_mm=87.4,
+        pull=12.3,
+    ),
+    found(
+        "edge-blurred-otherwise",
+        None,
+        {"at": "1,2,30,40", "cause": "motion during the exposure"},
+        box=[1, 2, 30, 40],
+        channel="G",
+    ),
+    found(
+        "edge-bowed", None, {"at": "1,2,30,40"}, box=[1, 2, 30, 40], channel="G", bow_px=1.2
+    ),
+    found("edges-without-common-wavefront"),
+    found(
+        "chart-edges-blurred-otherwise",
+        count=12,
+        edges=40,
+        channel="G",
+        cause="motion during the exposure",
     ),
     found("chart-edges-left-out", cut=5, clipped=2),
     found("chart-edges-not-fitted", count=3, why="it holds no edge"),
