@@ -42,6 +42,10 @@ TEXTS = {
         'the plan has target.surround = "{surround}", but the target\'s surround has {level:.0%} of the radiance of its '
         'white: write "{other}", or "unknown" for neither'
     ),
+    "surround-uneven": (
+        "the {surround} surround next to the target is not even{at}, as where a room begins: without flat frames only pixels "
+        "that see nothing but the target are used, and errors are larger"
+    ),
     # flats and darks
     "no-dark-frames": (
         "no dark frames: the black level of the files (or the plan) is used, and hot pixels are unknown"

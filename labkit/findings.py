@@ -158,6 +158,12 @@ def flats_partly_unlit(range_mm: float | None, unlit: float) -> Finding:
     )
 
 
+def surround_uneven(range_mm: float | None, surround: float) -> Finding:
+    """Return the finding that the surround, 0 black or 1 white, is not even next to the target."""
+    words = {"at": at_range(range_mm), "surround": "white" if surround else "black"}
+    return found("surround-uneven", None, words, range_mm=range_mm)
+
+
 @dataclass(frozen=True, slots=True)
 class Moves:
     """Changes of a session's results under another model of the camera.

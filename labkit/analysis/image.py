@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from labkit.analysis.session_results import as_wavefront
+from labkit.analysis.surround import is_surround_clean
 from labkit.analysis.target_tiles import middle_part, target_parts
 from labkit.analysis.tile_registration import bends_of_parts, register_part
 from labkit.arrays import mask_array, positive, real_array
@@ -138,7 +139,8 @@ def _observation(
         channel=channel,
         names=(),
         frames=tuple(
-            _frame(*of_frame, target) for of_frame in zip(cut, usable, poses, strict=True)
+            _frame(*of_frame, target, noise)
+            for of_frame in zip(cut, usable, poses, strict=True)
         ),
         poses=poses
         if part is None
@@ -168,8 +170,10 @@ def _corners(
     ]
 
 
-def _frame(image: Floats, used: Bools, pose: Pose, target: Target) -> FrameData:
-    if target.surround is None:
+def _frame(
+    image: Floats, used: Bools, pose: Pose, target: Target, noise: NoisePrior
+) -> FrameData:
+    if not is_surround_clean(image, used, pose, target, noise):
         used = used & sees_target_only(pose, used.shape)
     if not used.any():
         raise DataError("no usable pixel on the target: look at mask and corners_px")

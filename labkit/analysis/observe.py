@@ -6,8 +6,9 @@ from itertools import chain
 
 import numpy as np
 
-from labkit.analysis.locate import SURROUND_LEVELS, Corners, locate, locate_all
+from labkit.analysis.locate import Corners, locate, locate_all
 from labkit.analysis.neighbours import only_own, with_neighbours
+from labkit.analysis.surround import is_surround_clean, surround_findings
 from labkit.analysis.target_places import Places, of_one_place, places_in_frame
 from labkit.analysis.target_tiles import (
     TargetPart,
@@ -40,10 +41,9 @@ from labkit.finder.cut import (
     cut_around,
     cut_within,
     sees_target_only,
-    surround_level,
 )
 from labkit.finder.plausibility import Sight, refuse_contradictions
-from labkit.findings import Finding, at_range, each_once, found
+from labkit.findings import Finding, at_range, each_once, found, surround_uneven
 from labkit.imaging.brightness import Brightness
 from labkit.imaging.warp import Pose
 from labkit.key import Key, Tile, same_range
@@ -168,7 +168,7 @@ def observe(
                 ]
                 findings += assumed
     refuse_contradictions(sights, plan, target.size_mm)
-    findings += _surround_findings(plan, target, observations)
+    findings += surround_findings(plan.target.surround, target, observations)
     return observations, each_once(findings)
 
 
@@ -186,31 +186,6 @@ def _sights(shots: Sequence[_Shot]) -> list[Sight]:
     if (range_mm := _measured([shot.frame for shot in shots])) is None:
         return []
     return [Sight(range_mm, at) for shot in shots for at in shot.corners_px.values()]
-
-
-def _surround_findings(
-    plan: Plan, target: Target, observations: Sequence[Observation]
-) -> list[Finding]:
-    """Report a surround that is lighter or darker in the photographs than the plan states."""
-    stated = SURROUND_LEVELS.get(plan.target.surround)
-    levels = [
-        level
-        for o in observations
-        for frame, pose in zip(o.frames, o.poses, strict=True)
-        if (
-            level := surround_level(
-                frame.counts / frame.illumination,
-                frame.used,
-                pose.of_target(target.size_mm),
-            )
-        )
-        is not None
-    ]
-    if stated is None or not levels or abs((seen := np.median(levels)) - stated) < 0.5:
-        return []
-    other = "white" if plan.target.surround == "black" else "black"
-    words = {"surround": plan.target.surround, "other": other}
-    return [found("surround-contradicted", None, words, level=float(seen))]
 
 
 def selected(
@@ -447,12 +422,17 @@ def _observation(
         own = pixels.mask(data[0].mask.shape)
         for part, pose, frame in zip(data, poses, group, strict=True):
             _refuse_clipped(part, pose, own, f"{frame.file}, channel {channel}")
+    noise = noise_prior(data[0].noise, first.full_light)
+    # flats leave out light that is not the display's
+    clean = (bool(calibration.illumination) and target.surround is not None) or all(
+        is_surround_clean(part.counts, part.mask, pose, target, noise, part.rounding)
+        for part, pose in zip(data, poses, strict=True)
+    )
     frames = tuple(
         _frame_data(
             calibration,
-            target,
             part,
-            pose,
+            part.mask if clean else part.mask & sees_target_only(pose, part.mask.shape),
             f"{frame.file}: only {{}} usable pixels of channel {channel}",
         )
         for part, pose, frame in zip(data, poses, group, strict=True)
@@ -471,7 +451,7 @@ def _observation(
         names=tuple(frame.file for frame in group),
         frames=frames,
         poses=poses,
-        noise=noise_prior(data[0].noise, first.full_light),
+        noise=noise,
         places=pixels.places,  # the cut begins on an even row and column
         period=pixels.period,
         origin_px=(rows.start, columns.start),
@@ -481,7 +461,10 @@ def _observation(
         tile=region.tile,
         photograph_px=first.frame_px,
     )
-    return observation, tuple(finding for part in data for finding in part.findings)
+    findings = [finding for part in data for finding in part.findings]
+    if not clean and target.surround is not None:
+        findings.append(surround_uneven(group[0].range_mm, target.surround))
+    return observation, tuple(findings)
 
 
 def _refuse_clipped(data: ChannelData, pose: Pose, own: Bools, where: str) -> None:
@@ -496,11 +479,8 @@ def _refuse_clipped(data: ChannelData, pose: Pose, own: Bools, where: str) -> No
 
 
 def _frame_data(
-    calibration: Calibration, target: Target, data: ChannelData, pose: Pose, too_few: str
+    calibration: Calibration, data: ChannelData, used: Bools, too_few: str
 ) -> FrameData:
-    used = data.mask
-    if target.surround is None:
-        used = used & sees_target_only(pose, used.shape)
     if used.sum() < LEAST_TARGET_PIXELS:
         raise DataError(f"{too_few.format(used.sum())} on the target")
     frame = FrameData(
