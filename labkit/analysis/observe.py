@@ -441,9 +441,7 @@ def _observation(
         found_px = [shot.corners_px for shot in shots]
         frames = with_neighbours(frames, target, found_px, region.tile, cut)
     if region.part is not None:
-        poses = tuple(
-            replace(region.part.of(pose), bend=region.bend) for pose in poses
-        )
+        poses = tuple(replace(region.part.of(pose), bend=region.bend) for pose in poses)
     observation = Observation(
         range_mm=group[0].range_mm,
         measured_range_mm=_measured(group),

@@ -55,7 +55,10 @@ def lens_distortion(
     channels = tuple({place.key.channel for place in places})
     far = np.full(len(photographs), np.inf)
     model = TileModel(frame, parts, tuple(places), photographs, channels, far)
-    plain, wider = chosen(model, fifth=False, bend=False), chosen(model, fifth=True, bend=False)
+    plain, wider = (
+        chosen(model, fifth=False, bend=False),
+        chosen(model, fifth=True, bend=False),
+    )
     # tiles of one target are as large as it is
     plain[model.shared.start + TILE_GROWTH[0]] = False
     wider[model.shared.start + TILE_GROWTH[0]] = False

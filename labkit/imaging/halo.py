@@ -5,17 +5,20 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from scipy.interpolate import RectBivariateSpline
 
 from labkit.imaging.grid import Torus
 from labkit.imaging.scene import Scene
 from labkit.imaging.warp import Pose
 from labkit.optics.psf import diffraction_mtf
-from labkit.target import Target
+from labkit.target import Target, on_dots
 from labkit.types import Floats
 
 POSE_MARGIN = (
     0.05  # of the target's size, by which it may stand or end elsewhere than the reference
 )
+DOT_PX = 10.0  # side of the points of light that stand for a target beyond the torus
+HALO_PLACES = 5  # along each side of the frame, at which light from beyond is summed
 HALO_FREQUENCY = 0.12  # cycles a pixel, at 1/e of a Gaussian: light from so far away is smooth, over tens of pixels
 HALO_BAND = 0.45  # cycles a pixel: there the Gaussian has fallen to 1e-6
 
@@ -59,6 +62,40 @@ def guards(frame: tuple[int, int], reference: Pose, reach_px: float) -> tuple[in
     high = np.minimum(corners.max(axis=0) + stray, np.array(frame) + reach_px)
     rows, columns = np.maximum(np.maximum(-low, high - frame) + reach_px, 0.0)
     return math.ceil(rows), math.ceil(columns)
+
+
+def light_beyond(torus: Torus, target: Target, whole: Pose) -> Floats | None:
+    """Return the light (rows, columns) of the parts of a large target that are beyond a torus twice as large.
+
+    It is that for a lambda N of one pixel, less that of the torus's own copies around it, which stand for these parts in
+    `wrapped_light`; None for a target within. Far from its middle every PSF, averaged over its rings, is
+    lambda N / (pi r)^3, as that of a perfect lens.
+
+    Parameters
+    ----------
+    whole : pose of the whole target
+    """
+    sides = 2.0 * np.array(torus.pixels)
+    first = -np.array(torus.margin) - sides / 4
+    corners = whole.corners_px()
+    if np.all(corners >= first) and np.all(corners <= first + sides):
+        return None
+    dots = np.ceil(2 * np.array(whole.pixel_per_unit()) / DOT_PX).astype(int)
+    radiance = on_dots(target, (int(dots[0]), int(dots[1]))).ravel()
+    y, x = (2 * (np.arange(n) + 0.5) / n - 1 for n in dots)
+    there = whole.to_pixels(np.repeat(y, dots[1]), np.tile(x, dots[0]))
+    dot_px = 4 * float(np.prod(whole.pixel_per_unit())) / float(np.prod(dots))
+    within = np.all((there >= first) & (there < first + sides), axis=1)
+    steps = [np.array(s) * sides for s in np.ndindex(3, 3) if s != (1, 1)]
+    copies = [there[within] + step - sides for step in steps]
+    sources = np.concatenate([there[~within], *copies])
+    light = np.concatenate([radiance[~within], np.tile(-radiance[within], len(copies))])
+    rows, columns = (np.linspace(0, side - 1, HALO_PLACES) for side in torus.frame)
+    down = (rows[:, None] - sources[:, 0]) ** 2
+    right = (columns[:, None] - sources[:, 1]) ** 2
+    seen = [(d + right) ** -1.5 @ light for d in down]
+    spline = RectBivariateSpline(rows, columns, dot_px / np.pi**3 * np.array(seen))
+    return np.asarray(spline(*(np.arange(float(side)) for side in torus.frame)))
 
 
 def wrapped_light(

@@ -12,7 +12,7 @@ from labkit.arrays import mask_array
 from labkit.imaging.blur import Blur
 from labkit.imaging.brightness import Brightness
 from labkit.imaging.grid import Torus
-from labkit.imaging.halo import guards, wrapped_light
+from labkit.imaging.halo import guards, light_beyond, wrapped_light
 from labkit.imaging.optics import Optics
 from labkit.imaging.scene import Drawing, Scene
 from labkit.imaging.warp import POSE_SIZE, Pose
@@ -132,8 +132,9 @@ class ForwardModel:
         target = _lit(target, optics)
         halo_um = optics.airy_um * optics.rim.halo
         wrapped = wrapped_light(torus, target, reference, halo_um, optics.active_um)
-        if beside is not None:
-            wrapped = wrapped - beside * (halo_um / optics.pitch_um)
+        for far in (beside, light_beyond(torus, target, whole)):
+            if far is not None:
+                wrapped = wrapped - far * (halo_um / optics.pitch_um)
         limit = min(band * cutoff, ROUGH_BAND / optics.pitch_um)
         fewer = replace(
             torus,

@@ -75,9 +75,7 @@ def read(
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def _read(
-    spline: Floats | Floats32, onto: Floats, bend: Floats, values: Floats32
-) -> None:
+def _read(spline: Floats | Floats32, onto: Floats, bend: Floats, values: Floats32) -> None:
     """Compute places, then weights, then sums, row by row; the compiler vectorises each loop."""
     rows, columns = spline.shape
     many = values.shape[1]
