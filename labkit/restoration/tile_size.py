@@ -38,6 +38,12 @@ class TilePlan:
         tile = memory_bytes(job, self.tile_px, 2 * job.guard_px)
         return (picture + self.workers * tile) / GB
 
+    @property
+    def photographs_gigabytes(self) -> float:
+        """Memory of the photographs, which are held whole meanwhile."""
+        arrays = [a for p in self.job.photographs for a in (p.counts, p.used, p.light)]
+        return sum(array.nbytes for array in arrays) / GB
+
     def __str__(self) -> str:
         (rows, columns), job = self.job.shape, self.job
         plural = "one tile"
@@ -45,7 +51,7 @@ class TilePlan:
             plural = f"{self.tiles} tiles of {self.tile_px} pixels"
         return (
             f"{rows} x {columns} pixels, {job.samples} samples a pixel ({job.pitch_um / job.samples:.3g} um): {plural}, "
-            f"about {self.gigabytes:.2g} GB"
+            f"about {self.gigabytes:.2g} GB, besides {self.photographs_gigabytes:.2g} GB of photographs"
         )
 
 

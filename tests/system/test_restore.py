@@ -139,10 +139,16 @@ def test_tiles_are_restored_on_every_core_and_the_memory_that_is_said_counts_the
         monkeypatch.setattr("labkit.execute.default_workers", lambda cores=cores: cores)
         out = ["--out", str(tmp_path / name), "--tile", "32"]
         assert run(["restore", str(image), "--psf", str(session), *out]) == 0
-        (gigabytes,) = re.findall(
-            r"tiles of 32 pixels, about ([\d.]+) GB", capsys.readouterr().out
+        ((tiles, photographs),) = re.findall(
+            r"tiles of 32 pixels, about ([\d.]+) GB, besides ([\d.e-]+) GB of photographs",
+            capsys.readouterr().out,
         )
-        said.append(float(gigabytes))
+        said.append(float(tiles))
+        # counts and light in single precision, and a byte that says whether a pixel is used
+        with Image.open(image) as opened:
+            assert float(photographs) == pytest.approx(
+                9e-9 * opened.width * opened.height, rel=0.06
+            )
     assert said[1] / said[0] == pytest.approx(4, rel=0.1)  # two digits are shown
 
 
