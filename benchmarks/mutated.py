@@ -11,6 +11,7 @@ import io
 import json
 import os
 import resource
+import shutil
 import signal
 import traceback
 import zipfile
@@ -179,12 +180,13 @@ def limited() -> Iterator[None]:
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
     most = pages * resource.getpagesize() + MOST_BYTES
     resource.setrlimit(resource.RLIMIT_AS, (most, before[1]))
-    signal.signal(signal.SIGALRM, slow)
-    signal.setitimer(signal.ITIMER_REAL, MOST_S)
+    handler = signal.signal(signal.SIGALRM, slow)
+    timer = signal.setitimer(signal.ITIMER_REAL, MOST_S)
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.setitimer(signal.ITIMER_REAL, *timer)
+        signal.signal(signal.SIGALRM, handler)
         resource.setrlimit(resource.RLIMIT_AS, before)
 
 
@@ -361,12 +363,13 @@ def scenes(folder: Path) -> dict[str, Kind]:
     edge = tifffile.imread(write_scene(folder / "s.tif", [square(1500.0, 0.15)]))
     board = chart((1, 2), lambda *_: np.zeros(6), working_f_number(FOCUS_MM), checkerboard)
     charted = tifffile.imread(write_scene(folder / "c.tif", [board]))
-    series = ladder(folder / "noise", 1, EXPOSURES_S[:5])
+    series = ladder(folder / "noise", 1, EXPOSURES_S[::2])
     flat = next(one.path for one in series.frames if one.kind == "flat")
 
     def measured(*words: str) -> Callable[[bytes], object]:
         def read(content: bytes) -> None:
             image.write_bytes(content)
+            shutil.rmtree(folder / "restored", ignore_errors=True)
             command(*(str(image) if word == "IMAGE" else word for word in words))
 
         return read
@@ -391,6 +394,9 @@ def campaign(kind: Kind, seed: int, seconds: float, keep: Path) -> Counts:
     """Read damaged inputs of a kind for some seconds, and keep those that end in a fault."""
     counts = Counts()
     began = perf_counter()
+    for whole in kind.whole:
+        if (end := end_of(kind.read, whole)) != "taken":
+            counts.ends[f"undamaged: {end}"] += 1
     for turn in count():
         whole = kind.whole[turn % len(kind.whole)]
         for content in mutated(whole, 20, tokens=kind.tokens, seed=seed + turn):

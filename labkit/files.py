@@ -184,14 +184,14 @@ def checksum_problem(path: Path, sha256: str) -> str | None:
     """Describe how a file contradicts its SHA-256; None if it does not."""
     if path.is_symlink():
         return link_problem(path)
-    if not path.is_file():
-        return f"{path}: missing"
     try:
         return (
             None
             if sha256_of(path) == sha256
             else f"{path}: does not fit its checksum: it was altered or is damaged"
         )
+    except FileNotFoundError:
+        return f"{path}: missing"
     except OSError as error:
         return f"{path}: cannot be read: {error.strerror}"
 

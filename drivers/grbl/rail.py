@@ -23,7 +23,7 @@ from labkit.drivers.serial.rail import (
     open_port,
     rail_settings,
 )
-from labkit.errors import DeviceTimeoutError, RailError
+from labkit.errors import LONGEST_VALUE, DeviceTimeoutError, RailError
 from labkit.plan import Plan
 
 BANNER_QUIET_S = 0.1
@@ -208,7 +208,8 @@ class GrblRail(SerialRail):
         while (line := self._line(deadline_s)) is not None:
             if found := grbl.BANNER.search(line):
                 if found[1] != "1.1":
-                    raise RailError(f'{self} runs "{line}"; GRBL 1.1 or grblHAL is needed')
+                    said = line[:LONGEST_VALUE]
+                    raise RailError(f'{self} runs "{said}"; GRBL 1.1 or grblHAL is needed')
                 return True
         return False
 

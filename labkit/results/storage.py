@@ -132,14 +132,14 @@ def kept_keys(folder: Path) -> set[Key]:
     try:
         content = kept_content(folder)
         return {entry.identity for entry in content.wavefronts} if content else set()
-    except (OSError, ValueError):
+    except ValueError:
         return set()
 
 
 def kept_content(folder: Path) -> Content | None:
     """Return the content of a folder's results.json; None where there is none.
 
-    Raises NewerError for results of a later schema, ValueError for a corrupt file, OSError.
+    Raises NewerError for results of a later schema, ValueError for a corrupt file or one that cannot be read.
     """
     try:
         text = read_text(folder / RESULTS_FILE, MOST_RESULTS_BYTES)
@@ -148,8 +148,8 @@ def kept_content(folder: Path) -> Content | None:
         return None
     except RecursionError as error:
         raise ValueError("it is nested too deeply") from error
-    except IsADirectoryError as error:
-        raise ValueError("it is a folder") from error
+    except OSError as error:
+        raise ValueError(reason(error)) from error
     _refuse_newer(folder / RESULTS_FILE, schema)
     return Content.parse(text)
 
@@ -178,8 +178,6 @@ def set_aside_corrupt(folder: Path) -> Path | None:
         with writing(aside):
             (folder / RESULTS_FILE).rename(aside)
         return aside
-    except OSError:
-        return None
     return None
 
 

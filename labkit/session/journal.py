@@ -67,7 +67,7 @@ def journal_in(folder: Path) -> Path:
     """Return the journal of a session's folder. Raise SessionError for a folder that is no session."""
     path = folder / JOURNAL
     refuse_links(path)
-    if not path.is_file():
+    if not os.path.lexists(path):
         within = next(
             (above for above in folder.absolute().parents if (above / JOURNAL).is_file()),
             None,

@@ -92,7 +92,8 @@ def is_safe(session: Session) -> bool:
 def as_error(problems: Sequence[str]) -> str:
     """Describe the faults of a session, and the remedy for changed files."""
     words = "; ".join(problems)
-    damaged = any("checksum" in problem or "missing" in problem for problem in problems)
+    signs = ("checksum", "missing", "file is needed")
+    damaged = any(sign in problem for problem in problems for sign in signs)
     return f"{words}; {PUT_BACK}" if damaged else words
 
 

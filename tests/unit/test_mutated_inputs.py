@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterable
 from io import BytesIO
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 import tifffile
 from PIL import Image
 
+from benchmarks.mutated import campaign, sessions, texts
 from labkit.errors import InputError
 from labkit.photographs.picture_file import read_picture
 from labkit.plan import Plan
@@ -96,6 +98,19 @@ def picture_in(folder: Path) -> Callable[[bytes], object]:
         assert read_picture(folder / "picture", 25_000).numbers.nbytes < 100_000
 
     return read
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="memory is counted by /proc")
+def test_a_short_campaign_finds_no_fault(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    every = {**texts(tmp_path), **sessions(tmp_path)}
+    ends = {
+        name: set(campaign(kind, 1, 0.3, tmp_path / "kept").ends) - {"taken", "refused"}
+        for name, kind in every.items()
+    }
+    assert ends == {name: set() for name in every}
 
 
 def test_damaged_plans_are_taken_or_refused_in_one_line() -> None:

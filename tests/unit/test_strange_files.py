@@ -23,7 +23,7 @@ from labkit.photographs.picture_file import read_picture
 from labkit.plan import Plan
 from labkit.reading import read_text
 from labkit.results import Results
-from labkit.results.storage import kept_keys
+from labkit.results.storage import kept_keys, set_aside_corrupt
 from labkit.session.fit_lock import fitted_alone
 from labkit.session.import_frames import read_rows
 from labkit.session.journal import JOURNAL, is_being_written
@@ -111,10 +111,19 @@ def test_a_strange_file_of_results_hangs_no_command(
     assert "night is left out" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("kind", ["pipe", "device", "folder", "endless"])
+def test_what_lies_in_the_place_of_results_is_set_aside(tmp_path: Path, kind: str) -> None:
+    put(kind, tmp_path / "results.json")
+    aside = set_aside_corrupt(tmp_path)
+    assert aside == tmp_path / "results.json.corrupt"
+    assert not os.path.lexists(tmp_path / "results.json")
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_journal_is_a_file_of_a_sensible_size(session: Path, kind: str) -> None:
     put(kind, session / JOURNAL)
-    assert str(session) in refusal(lambda: Session.open(session))
+    words = refusal(lambda: Session.open(session))
+    assert words.startswith(f"{session / JOURNAL}: ")
     assert str(session) in refusal(lambda: Session.append(session))
     assert not is_being_written(session / JOURNAL)
 
@@ -127,6 +136,7 @@ def test_files_with_checksums_are_files_of_a_sensible_size(
     put(kind, session / name)
     (words,) = [line for line in verify(session) if str(session / name) + ":" in line]
     assert words.isprintable()
+    assert "missing" not in words
 
 
 def test_a_lock_and_a_journal_are_written_under_one_name_alone(session: Path) -> None:
