@@ -12,7 +12,8 @@ ROOT = Path(__file__).parents[2]
 LAYERS = {
     "base": [
         *("types", "errors", "key", "mode_groups", "pace", "uncertain", "version"),
-        *("finding_texts", "findings", "files", "arrays", "npz", "typed_file", "apart"),
+        *("finding_texts", "findings", "files", "arrays", "npz", "typed_file"),
+        *("confinement", "apart", "spreadsheet"),
         *("sharing", "numerics", "processes", "execute", "cluster", "figure_style"),
         *("threads", "spectra", "plan", "target", "target_grid", "target_file"),
     ],
