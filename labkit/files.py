@@ -80,7 +80,7 @@ def writing(path: Path) -> Iterator[None]:
 NOT_ALLOWED = {
     errno.EACCES: "; work in a folder that you may write to, or have its owner allow it",
     errno.EPERM: "; work in a folder that you may write to, or have its owner allow it",
-    errno.EROFS: "; copy the session to a disk that can be written to",
+    errno.EROFS: "; that is a read-only disk: copy the session to one that can be written to, or name a folder there",
 }
 """What to do where writing is not allowed, by the system's number for why."""
 
