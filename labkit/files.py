@@ -8,12 +8,16 @@ import os
 import re
 import secrets
 import shutil
+import stat
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from labkit.errors import InputError, SessionError
+
+UNFINISHED = re.compile(r"\..+\.([1-9]\d{0,9})\.part")
+"""Names of files that are being written, with the number of the process that writes."""
 
 MOST_LINKS = 10
 """Number of names in one message."""
@@ -65,6 +69,27 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
             sync_folder(path.parent)
         finally:
             beside.unlink(missing_ok=True)
+
+
+def remove_unfinished(folder: Path) -> None:
+    """Remove what killed processes left of files that they wrote into a folder or the folders in it, by `replacing`."""
+    for path in folder.rglob(".*.part"):
+        found = UNFINISHED.fullmatch(path.name)
+        if found and not _lives(int(found[1])):
+            with suppress(OSError):
+                if stat.S_ISREG(path.lstat().st_mode):
+                    path.unlink()
+
+
+def _lives(process: int) -> bool:
+    """Return whether a process of this number lives."""
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        pass
+    return True
 
 
 @contextmanager

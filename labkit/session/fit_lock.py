@@ -12,7 +12,7 @@ from datetime import datetime
 from pathlib import Path
 
 from labkit.errors import SessionError
-from labkit.files import writing
+from labkit.files import remove_unfinished, writing
 
 
 @contextmanager
@@ -38,6 +38,7 @@ def fitted_alone(results: Path) -> Iterator[None]:
         with suppress(OSError):  # a full disk: the lock holds without a name in it
             os.ftruncate(file, 0)
             os.write(file, json.dumps(_ourselves()).encode())
+        remove_unfinished(results.parent)
         yield
     finally:
         with suppress(OSError):
