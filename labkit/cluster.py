@@ -8,16 +8,20 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from labkit.errors import InputError, WorkersError
+from labkit.errors import InputError, WorkersError, shown
 from labkit.execute import Executed
+from labkit.numerics import SAME_VERSIONS, other_versions, versions
 
 if TYPE_CHECKING:
     from distributed import Client
 
 CONNECT_S = 10
 """For which a scheduler may leave a call without an answer."""
+
+VERSIONS = "__import__('labkit.numerics', fromlist=['versions']).versions()"
+"""What a worker is asked in Python's own words, for a function of this labkit may be none of the worker's."""
 
 NO_WORKERS_S = 30
 """For which a cluster may be without workers, as while it starts them."""
@@ -38,7 +42,7 @@ def on_dask(address: str) -> Iterator[Executed]:
     Raises
     ------
     InputError : `address` is none, or the package distributed is not installed
-    WorkersError : no scheduler answers, or it has no workers
+    WorkersError : no scheduler answers, it has no workers, or a worker has other versions than this process
 
     >>> with on_dask("tcp://10.0.0.5:8786") as run:
     ...     results = labkit.fit("night-3", run=run)
@@ -65,6 +69,7 @@ def on_dask(address: str) -> Iterator[Executed]:
             ) from error
         try:
             cluster = Cluster(client, address)
+            cluster.refuse_other_versions()
             executor = client.get_executor(pure=False)  # type: ignore[no-untyped-call]
             yield Executed(executor, cluster.threads, cluster.watch, (KilledWorker,))
         finally:
@@ -94,6 +99,22 @@ class Cluster:
         workers = self.client.scheduler_info(n_workers=-1).get("workers", {})
         return sum(int(worker["nthreads"]) for worker in workers.values())
 
+    def refuse_other_versions(self) -> None:
+        """Raise WorkersError if a worker differs in a version: one of another labkit may not even read its tasks, and end."""
+        answers: dict[str, Any] = self.client.run(  # type: ignore[no-untyped-call]
+            eval, VERSIONS, on_error="return"
+        )
+        for worker, held in answers.items():
+            others = (
+                other_versions(held, versions())
+                if isinstance(held, dict)
+                else f"no labkit that can be asked ({shown(str(held))})"
+            )
+            if others:
+                raise WorkersError(
+                    f"the Dask worker {worker} has {others}: {SAME_VERSIONS}"
+                )
+
     def watch(self) -> None:
         """Raise WorkersError if the scheduler is lost, or has been without workers for too long."""
         if self.client.status != "running":
@@ -106,5 +127,5 @@ class Cluster:
         elif now - self.last_workers_s > NO_WORKERS_S:
             raise WorkersError(
                 f"the Dask scheduler at {self.address} has been without workers for {NO_WORKERS_S} s: start some with "
-                "dask worker, and fit again: that goes on where this one ended"
+                "dask worker, of the same versions as here, and fit again: that goes on where this one ended"
             )

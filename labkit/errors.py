@@ -21,11 +21,21 @@ LabkitError                 something failed: one line, exit status 1
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Sequence
 from typing import Any
 
 LONGEST_VALUE = 60
 """Characters of a value that a message repeats."""
+
+
+REFUSALS_OF_MEMORY = (
+    "can't start new thread",
+    "cannot allocate memory",
+    "failed to map segment",
+    "insufficient memory",
+)
+"""In the words of Python, of the C library's calls, of its loader of libraries, and of OpenCV."""
 
 
 class LabkitError(Exception):
@@ -135,6 +145,21 @@ def printable(text: str) -> str:
     return "".join(
         letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text
     )
+
+
+def out_of_memory(error: BaseException) -> bool:
+    """Return whether an error, or one that led to it, is the system's refusal of memory.
+
+    Beside MemoryError these are threads that cannot start, libraries that cannot be loaded, and OpenCV's own error.
+    """
+    seen: BaseException | None = error
+    while seen is not None:
+        if isinstance(seen, MemoryError) or getattr(seen, "errno", None) == errno.ENOMEM:
+            return True
+        if any(words in str(seen).lower() for words in REFUSALS_OF_MEMORY):
+            return True
+        seen = seen.__cause__ or seen.__context__
+    return False
 
 
 def shown(value: object) -> str:

@@ -25,7 +25,7 @@ from typing import Any, Protocol, TypeVar
 import cv2
 from threadpoolctl import threadpool_limits
 
-from labkit.errors import FitError, LostTasksError, WorkersError
+from labkit.errors import FitError, LostTasksError, WorkersError, out_of_memory
 from labkit.numerics import refuse_other_versions, versions
 from labkit.processes import KILLED, Processes, saying
 from labkit.sharing import kept, pack, unpacked
@@ -285,10 +285,12 @@ def _outcome(function: Callable[[Task], Result], task: Task) -> Result | Lost:
     """Run a task."""
     try:
         return function(task)
-    except MemoryError:
-        return Lost(NO_MEMORY, again=True)
     except FitError as error:
         return Lost(str(error), again=False)
+    except Exception as error:
+        if out_of_memory(error):
+            return Lost(NO_MEMORY, again=True)
+        raise
 
 
 def _raise_lost(tasks: Sequence[Any], lost: Mapping[int, str]) -> None:

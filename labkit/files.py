@@ -8,6 +8,7 @@ import os
 import re
 import secrets
 import shutil
+import stat
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import partial
@@ -16,6 +17,9 @@ from typing import Any, BinaryIO
 
 from labkit.errors import InputError, SessionError
 from labkit.reading import MOST_NOTE_BYTES, opened_photograph, read_private
+
+UNFINISHED = re.compile(r"\..+\.([1-9]\d{0,9})\.part")
+"""Names of files that are being written, with the number of the process that writes."""
 
 MOST_LINKS = 10
 """Number of names in one message."""
@@ -72,6 +76,27 @@ def replacing(path: Path, mode: int = 0o666) -> Iterator[BinaryIO]:
             beside.unlink(missing_ok=True)
 
 
+def remove_unfinished(folder: Path) -> None:
+    """Remove what killed processes left of files that they wrote into a folder or the folders in it, by `replacing`."""
+    for path in folder.rglob(".*.part"):
+        found = UNFINISHED.fullmatch(path.name)
+        if found and not _lives(int(found[1])):
+            with suppress(OSError):
+                if stat.S_ISREG(path.lstat().st_mode):
+                    path.unlink()
+
+
+def _lives(process: int) -> bool:
+    """Return whether a process of this number lives."""
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        pass
+    return True
+
+
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
     """Turn a system error in writing `path` into an InputError that names the path."""
@@ -85,7 +110,7 @@ def writing(path: Path) -> Iterator[None]:
 NOT_ALLOWED = {
     errno.EACCES: "; work in a folder that you may write to, or have its owner allow it",
     errno.EPERM: "; work in a folder that you may write to, or have its owner allow it",
-    errno.EROFS: "; copy the session to a disk that can be written to",
+    errno.EROFS: "; that is a read-only disk: copy the session to one that can be written to, or name a folder there",
 }
 """What to do where writing is not allowed, by the system's number for why."""
 

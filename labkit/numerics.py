@@ -29,6 +29,10 @@ NO_NUMERICS = {
 """Rooms whose source no fit depends on."""
 
 
+SAME_VERSIONS = "install the same versions there as here"
+"""Advice where a worker differs."""
+
+
 @cache
 def source_digest() -> str:
     """Return the SHA-256 of the source that fits depend on."""
@@ -53,14 +57,16 @@ def versions() -> dict[str, str]:
 
 def refuse_other_versions(wanted: dict[str, str]) -> None:
     """Raise WorkersError if this process, a worker, differs in a version from the process that sends its tasks."""
-    ours = versions()
-    others = [
-        f"{name} {ours.get(name, 'missing')}, not {version}"
-        for name, version in wanted.items()
-        if ours.get(name) != version
-    ]
-    if others:
+    if others := other_versions(versions(), wanted):
         raise WorkersError(
-            f"worker {os.getpid()} on {socket.gethostname()} has {'; '.join(others)}: "
-            "install the same versions there as here"
+            f"worker {os.getpid()} on {socket.gethostname()} has {others}: {SAME_VERSIONS}"
         )
+
+
+def other_versions(held: dict[str, str], wanted: dict[str, str]) -> str:
+    """Return in words which versions of a worker differ from the wanted ones; empty if none does."""
+    return "; ".join(
+        f"{name} {held.get(name, 'missing')}, not {version}"
+        for name, version in wanted.items()
+        if held.get(name) != version
+    )

@@ -9,7 +9,7 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from labkit.errors import LabkitError, printable
+from labkit.errors import LabkitError, out_of_memory, printable
 from labkit.uncertain import Uncertain
 
 if TYPE_CHECKING:
@@ -82,9 +82,11 @@ def read_entry(session: Path, name: str) -> Entry:
     """
     try:
         return _read(session, name)
-    except (LabkitError, OSError, MemoryError) as error:
-        return Entry(session.name, name, problem=str(error) or "there is not enough memory")
+    except (LabkitError, OSError) as error:
+        return Entry(session.name, name, problem=str(error))
     except Exception as error:  # numbers that no lens has break arithmetic in many ways
+        if out_of_memory(error):
+            raise
         why = f"its numbers cannot be used: {type(error).__name__}: {error}"
         return Entry(session.name, name, problem=printable(why))
 

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from labkit.catalogue.compare import Comparison
 from labkit.catalogue.history import History
+from labkit.errors import printable
 from labkit.figure_style import (
     INK,
     SOFT_INK,
@@ -94,7 +95,9 @@ def comparison_picture(comparison: Comparison) -> bytes:
             unit = f"waves at {wavefront.reference_nm:g} nm"
             _map(axes[0], difference.value, limit, f"{channel}: {unit}")
             _map(axes[1], stds, MOST_STDS, f"{channel}: standard errors")
-        words = f"{Path(comparison.second).name} less {Path(comparison.first).name}: {comparison.probability} for one lens"
+        words = printable(
+            f"{Path(comparison.second).name} less {Path(comparison.first).name}: {comparison.probability} for one lens"
+        )
         figure.suptitle(words, color=INK)
         return svg(figure)
 

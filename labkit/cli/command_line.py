@@ -9,7 +9,7 @@ import sys
 import threading
 import traceback
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from typing import NoReturn
 
@@ -18,7 +18,7 @@ from typer.exceptions import TyperException
 
 from labkit.cli.app import app
 from labkit.cli.console import Console, error_line, print_line
-from labkit.errors import LabkitError
+from labkit.errors import LabkitError, out_of_memory
 from labkit.files import open_standard_streams
 
 COMMANDS = {
@@ -162,20 +162,29 @@ def _words(error: BaseException, console: Console) -> tuple[str, int]:
     """Return the message of an error, and the exit status."""
     if isinstance(error, LabkitError):
         return f"{error}{console.hint}", error.exit_status
+    if out_of_memory(error):
+        what = f": {error}" if isinstance(error, MemoryError) and str(error) else ""
+        return f"there is not enough memory{what}; {_more_memory()}{console.hint}", 1
     if isinstance(error, OSError):
         return (
             f"{error.filename or 'the system'}: {error.strerror or error}{console.hint}",
             2,
         )
-    if isinstance(error, MemoryError):
-        return (
-            f"there is not enough memory{f': {error}' if str(error) else ''}; close other programs{console.hint}",
-            1,
-        )
     return (
         f"this is a fault in labkit: {type(error).__name__}: {error}; --debug shows where{console.hint}",
         1,
     )
+
+
+def _more_memory() -> str:
+    """Return how this process gets more memory."""
+    with suppress(ImportError):
+        import resource
+
+        most, _ = resource.getrlimit(resource.RLIMIT_AS)
+        if most != resource.RLIM_INFINITY:
+            return f"this shell allows {most >> 20} MiB (ulimit -v): allow more"
+    return "close other programs"
 
 
 def _interrupted(console: Console) -> int:

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from queue import Empty, SimpleQueue
 
@@ -57,11 +58,18 @@ def serve_target(
     """
     context = context or DeviceContext()
     target = whole_target(spec)
+    links: list[tuple[str, str]] = []
+    silent = replace(context, show_link=lambda what, url: links.append((what, url)))
     with ExitStack() as stack:
         displays = [
-            stack.enter_context(open_display(address, plan, context))
+            stack.enter_context(open_display(address, plan, silent))
             for address, plan in panel_plans(spec, panels, listen)
         ]
+        # an address is for a page that stays: whatever is refused was refused before
+        for display in displays:
+            _picture(TARGET_CHOICE, target, display)
+        for link in links:
+            context.show_link(*link)
         keep_showing(target, displays, context, going)
 
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from io import StringIO
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -18,6 +16,7 @@ from labkit.field.session_geometry import corner_numbers
 from labkit.field.summary import FieldSummary
 from labkit.field.symmetry import Share
 from labkit.field.terms import LensTerms
+from labkit.spreadsheet import csv_text
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
@@ -242,24 +241,25 @@ CSV_HEADING = (
 
 def curves_csv(summary: FieldSummary) -> str:
     """Return all curves of the leading channel, one value a line."""
-    written = StringIO()
-    writer = csv.writer(written, lineterminator="\n")
-    writer.writerow(CSV_HEADING)
+    return csv_text([CSV_HEADING, *_curve_rows(summary)])
+
+
+def _curve_rows(summary: FieldSummary) -> Iterator[list[str]]:
+    """Yield a row for each value of all curves."""
     for profile in summary.profiles:
         start = (profile.channel, "", f"{profile.azimuth_deg:.6g}", profile.surface)
         height = profile.height_mm
         for k, frequency in enumerate(profile.frequency_per_mm):
             band = Band(profile.mtf.value[k], profile.mtf.std[k])
             end = (f"{frequency:g}",)
-            writer.writerows(_lines("mtf", *start, *end, along=(height, None), band=band))
+            yield from _lines("mtf", *start, *end, along=(height, None), band=band)
         for name, band in (("mtf50", profile.mtf50_per_mm), ("focus_um", profile.focus_um)):
-            writer.writerows(_lines(name, *start, "", along=(height, None), band=band))
+            yield from _lines(name, *start, "", along=(height, None), band=band)
     for curve in summary.through_focus:
         start = (curve.channel, curve.place, "", curve.surface)
         end = (f"{curve.frequency_per_mm:g}",)
         along = (None, curve.shift_um)
-        writer.writerows(_lines("through_focus", *start, *end, along=along, band=curve.mtf))
-    return written.getvalue()
+        yield from _lines("through_focus", *start, *end, along=along, band=curve.mtf)
 
 
 def _lines(

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from base64 import b64encode
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from itertools import count
-from math import isfinite
 from pathlib import Path
 from re import sub
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from labkit.errors import DataError, InputError
@@ -40,6 +36,7 @@ from labkit.report.table import (
 )
 from labkit.report.tiles import central_tile, of_tile
 from labkit.results import Results, Wavefront
+from labkit.spreadsheet import Cell, csv_text
 from labkit.threads import one_thread
 from labkit.types import Floats, Progress, no_progress
 
@@ -207,9 +204,6 @@ TEMPLATE_FILTERS: dict[str, Callable[..., str]] = {
 }
 """Filters of the templates."""
 
-Cell = str | int | float | None
-LINE = "\r\n"  # as RFC 4180 has it
-
 
 @dataclass(frozen=True, slots=True)
 class Download:
@@ -250,19 +244,7 @@ def _raw(results: Results) -> Download:
 
 
 def _table(name: str, rows: Iterable[Sequence[Cell]], what: str) -> Download:
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator=LINE)
-    writer.writerows([_written(cell) for cell in row] for row in rows)
-    return Download(name, "text/csv", text.getvalue().encode(), what)
-
-
-def _written(cell: Cell) -> Cell:
-    """Return a cell with nine digits, empty if not finite; text never becomes a spreadsheet's formula."""
-    if isinstance(cell, str):
-        return f"'{cell}" if cell[:1] in "=+-@\t" else cell
-    if isinstance(cell, float | np.floating):
-        return f"{cell:.9g}" if isfinite(cell) else None
-    return cell
+    return Download(name, "text/csv", csv_text(rows).encode(), what)
 
 
 def _zernike(results: Results) -> Iterable[Sequence[Cell]]:

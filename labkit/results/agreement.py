@@ -32,7 +32,6 @@ def _problems(content: Content, plan: Plan) -> Iterator[str]:
     for entry in content.wavefronts:
         yield from (f"{entry.identity.label} has {words}" for words in _of_wavefront(entry))
     yield from _keys([entry.identity for entry in content.wavefronts])
-    yield from _channels(content, plan)
     reference_nm = content.reference_wavelength_nm
     if (
         content.plan is not None
@@ -95,14 +94,6 @@ def _keys(keys: Sequence[Key]) -> Iterator[str]:
         if key in known:
             yield f"two wavefronts are of {key.label}"
         known.add(key)
-
-
-def _channels(content: Content, plan: Plan) -> Iterator[str]:
-    """Yield channels that the plan does not have."""
-    planned = [channel.name for channel in plan.channel]
-    fitted = {entry.identity.channel for entry in content.wavefronts}
-    if content.plan is not None and (other := sorted(fitted - {*planned})):
-        yield f"a wavefront is of channel {other[0]}: the plan in it has {', '.join(planned)}"
 
 
 def _close(stated: float | Floats, other: float | Floats) -> bool:

@@ -14,7 +14,7 @@ from datetime import datetime
 from pathlib import Path
 
 from labkit.errors import SessionError
-from labkit.files import writing
+from labkit.files import remove_unfinished, writing
 from labkit.reading import MOST_NOTE_BYTES, opened_to_append, read_text
 
 
@@ -42,6 +42,7 @@ def fitted_alone(results: Path) -> Iterator[None]:
         with suppress(OSError):  # a full disk: the lock holds without a name in it
             file.truncate(0)
             file.write(json.dumps(_ourselves()).encode())
+        remove_unfinished(results.parent)
         yield
     finally:
         with suppress(OSError):

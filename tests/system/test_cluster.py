@@ -25,9 +25,11 @@ pytestmark = pytest.mark.slow
 class Cluster:
     """A scheduler, and workers with one thread each."""
 
-    def __init__(self, running: ExitStack, folder: Path) -> None:
+    def __init__(self, running: ExitStack, folder: Path, path: Path | None = None) -> None:
+        """path: where Python finds labkit first."""
         self._running = running
         self._folder = folder
+        self._path = path or Path(__file__).parents[2]
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             port = free.getsockname()[1]
@@ -47,7 +49,7 @@ class Cluster:
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             cwd=self._folder,
-            env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
+            env={**os.environ, "PYTHONPATH": str(self._path)},
         )
         self._running.callback(started.wait, 60)
         self._running.callback(started.kill)
@@ -67,6 +69,13 @@ def kill_at_first(task: tuple[Path, int]) -> int:
         tried.touch()
         os._exit(1)
     return number
+
+
+def connect_until_refused(address: str) -> None:
+    """Connect again and again, for the first times before the workers are there."""
+    while True:
+        with on_dask(address):
+            time.sleep(0.5)
 
 
 def always_kill(number: int) -> int:
@@ -127,3 +136,25 @@ def test_no_scheduler_or_address_is_named_in_a_line(
         on_dask("here"),
     ):
         pass
+
+
+@pytest.mark.parametrize(
+    ("numerics", "words"),
+    [
+        ("def versions(): return {'labkit': '0.0.1'}", "has labkit 0.0.1, not "),
+        ("", "has no labkit that can be asked .*: install the same versions"),
+    ],
+    ids=["other", "none"],
+)
+def test_a_worker_of_another_labkit_is_named_in_labkits_line_alone(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], numerics: str, words: str
+) -> None:
+    """A task that such a worker cannot read ends the worker, which looked like a cluster without workers."""
+    (tmp_path / "labkit").mkdir()
+    (tmp_path / "labkit" / "__init__.py").touch()
+    (tmp_path / "labkit" / "numerics.py").write_text(numerics)
+    with ExitStack() as running:
+        dask = Cluster(running, tmp_path, path=tmp_path)
+        with pytest.raises(WorkersError, match=words):
+            connect_until_refused(dask.address)
+    assert capfd.readouterr().err == ""

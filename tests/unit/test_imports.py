@@ -13,7 +13,7 @@ LAYERS = {
     "base": [
         *("types", "errors", "key", "mode_groups", "pace", "uncertain", "version"),
         *("finding_texts", "findings", "reading", "files", "learnt_paces", "arrays"),
-        *("npz", "typed_file", "apart"),
+        *("npz", "typed_file", "confinement", "apart", "spreadsheet"),
         *("sharing", "numerics", "processes", "execute", "cluster", "figure_style"),
         *("threads", "spectra", "plan", "target", "target_grid", "target_file"),
     ],

@@ -215,7 +215,7 @@ def test_tables_hold_every_mode_in_waves_and_nanometres(report: Path) -> None:
         "embedding, p = 0.37, 3 starts",
         "1.10 ± 0.50, −2.20 ± 0.60",
         "ab" * 32,
-        "target_3000.0_R.dng",
+        "target_3000.0_R_0.dng",
     ],
 )
 def test_tables_and_provenance_hold(report: Path, shown: str) -> None:
@@ -343,7 +343,9 @@ def test_hostile_strings_are_shown_and_not_obeyed(tmp_path: Path) -> None:
     hostile = "<script>alert(1)</script>"
     folder = written(
         tmp_path,
-        wavefronts=(a_wavefront(channel="$x_</th>", frames=(hostile,), residuals=None),),
+        wavefronts=(
+            a_wavefront(channel="$x_</th>", frames=(hostile,) * 2, residuals=None),
+        ),
         focus=None,
         findings=noted(hostile, '"><img src=http://example.com/x.png>'),
         labkit_version=hostile,

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import socket
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from labkit.devices import serve_target as serving
 from labkit.devices.context import DeviceContext
 from labkit.devices.protocols import PanelInfo, Picture, Shown
 from labkit.devices.serve_target import keep_showing
-from labkit.errors import DisplayError
+from labkit.errors import DisplayError, LabkitError
 from labkit.plan import TargetSpec
 from labkit.target import open_target
 
@@ -115,3 +117,36 @@ def test_a_request_that_is_no_picture_changes_nothing() -> None:
     serve(display, context, act)
     assert len(display.shown) == 2
     assert display.shown[-1] == 0
+
+
+@pytest.mark.parametrize("fault", ["too large", "port in use", "unknown target"])
+def test_what_is_refused_is_refused_before_an_address_is_printed(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, fault: str
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    links: list[str] = []
+    context = DeviceContext(show_link=lambda what, url: links.append(url))
+    spec = {
+        "too large": "sierpinski:order=3,size_mm=4680",
+        "unknown target": "sierpinksi:order=3",
+    }.get(fault, "sierpinski:order=3,size_mm=46.8")
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1] if fault == "port in use" else 0
+        with pytest.raises(LabkitError):
+            serving.serve_target(
+                spec, ["ipad-9.7-retina"] * 2, f"127.0.0.1:{port}", context=context
+            )
+    assert links == []
+
+
+def test_addresses_are_printed_once_all_displays_are_open(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    links: list[str] = []
+    context = DeviceContext(show_link=lambda what, url: links.append(what))
+    spec = "sierpinski:order=3,size_mm=46.8"
+    panels = ["ipad-9.7-retina"] * 2
+    serving.serve_target(spec, panels, "127.0.0.1:0", context=context, going=lambda: False)
+    assert len(links) == 3
+    assert links[0] == "The operator's page"

@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from labkit.errors import PlanError, SessionError
+from labkit.errors import InputError, PlanError, SessionError
 from labkit.session.journal import JournalWriter
 from labkit.session.session import Session, begin
 from labkit.session.verify import remarks, verify
@@ -407,3 +407,14 @@ def test_a_folder_inside_a_session_is_answered_with_the_session(
         match=rf"frames is no session: it has no journal.jsonl; give {session_folder}$",
     ):
         Session.open(session_folder / "frames")
+
+
+def test_a_read_only_disk_is_called_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session = Session.create(tmp_path / "night", plan_text(PORTRAIT), tmp_path)
+    there = os.statvfs(tmp_path)
+    values = [*there[:8], there.f_flag | os.ST_RDONLY, there.f_namemax]
+    monkeypatch.setattr(os, "statvfs", lambda path: os.statvfs_result(values))
+    with session, pytest.raises(InputError, match=r"latest: .*that is a read-only disk"):
+        session.results_folder()

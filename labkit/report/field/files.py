@@ -12,8 +12,8 @@ from labkit.optics.field import FieldModel
 from labkit.report.field.profiles import lines_of
 from labkit.report.tiles import mean_place_px
 from labkit.results import Results
+from labkit.spreadsheet import Cell
 
-Cell = str | int | float | None
 Rows = Iterable[Sequence[Cell]]
 
 
