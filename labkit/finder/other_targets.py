@@ -43,7 +43,7 @@ INNER = 0.97
 
 MOST_LEFT = 0.5
 """Share of what the stated target leaves unexplained, below which another target is the one that is shown. In 57 photographs
-of golden sessions and 130 drawn ones, in focus and far out of it, other orders left at least 0.98 of what the right one left."""
+of golden sessions and 130 drawn ones, in focus and far out of it, other orders left 0.98 of it or more."""
 
 LEAST_CELL = 0.4
 """Samples of the picture along a cell, below which a target's finest cells cannot be told from grey."""
