@@ -1,8 +1,9 @@
 """What a mistake in a plan costs: `python -m benchmarks.mistakes --golden ../shared/golden [NAME ...]`.
 
-The golden session `bench-open` is fitted with one mistake in its plan at a time, or in the ranges of its table. A line for
-each: processor seconds, the largest error of the results over its standard error, and what labkit said first: its refusal, or
-its first warning. A mistake should be named there, or be harmless within the errors.
+The golden session `bench-open` is fitted with one mistake in its plan at a time, or in the ranges of its table; or with a
+fault that no part of the model has in its photographs of the target. A line for each: processor seconds, the largest error of
+the results over its standard error, and what labkit said first: its refusal, or its first warning. A mistake should be named
+there, or be harmless within the errors.
 """
 
 from __future__ import annotations
@@ -19,14 +20,18 @@ from typing import Any
 
 import cv2
 import numpy as np
+from scipy import ndimage
 
 import labkit
 from benchmarks.golden_errors import lens_errors, nearest_sign, wavefront_errors
 from benchmarks.sessions import OutOfTime, ended_after
 from labkit.errors import LabkitError
 from labkit.key import Key
+from labkit.photographs.decoding import read_photograph
+from labkit.plan import Sensor
 from labkit.results import Results
 from labkit.targets.sierpinski import carpet_cells
+from labkit.types import Floats
 
 SESSION = "bench-open"
 LIMIT_S = 900.0
@@ -39,6 +44,23 @@ class Mistake:
     lines: dict[str, str] = field(default_factory=dict)
     cells: Callable[[], Any] | None = None
     ranges_mm: dict[float, float] = field(default_factory=dict)
+    fault: Callable[[Floats], Floats] | None = None
+
+
+def reflected(light: Floats) -> Floats:
+    """Return the light of a mosaic with the reflection of a lamp on the target: a smooth spot, a third as bright as white."""
+    y, x = np.mgrid[: light.shape[0], : light.shape[1]]
+    spot = np.exp(-((y - 90) ** 2 + (x - 140) ** 2) / (2 * 30.0**2))
+    return np.asarray(light + 0.3 * np.percentile(light, 99) * spot)
+
+
+def denoised(light: Floats) -> Floats:
+    """Return the light of a mosaic, each plane smoothed as cameras do in their raw files: by a median of its neighbours."""
+    smooth = light.copy()
+    for row, col in np.ndindex(2, 2):
+        plane = light[row::2, col::2]
+        smooth[row::2, col::2] = 0.5 * (plane + ndimage.median_filter(plane, 3))
+    return smooth
 
 
 def pictured(cells: Callable[[], Any]) -> Mistake:
@@ -70,6 +92,8 @@ MISTAKES = {
     "ranges in m": Mistake(ranges_mm={2000.0: 2.0, 2080.0: 2.08, 2160.0: 2.16}),
     "size in m": Mistake({"size_mm = 26.0": "size_mm = 0.026"}),
     "surround": Mistake({"[target]": '[target]\nsurround = "white"'}),
+    "reflection": Mistake(fault=reflected),
+    "noise reduction": Mistake(fault=denoised),
 }
 """Mistakes by name. One without an effect, a carpet in a mirror, is among them."""
 
@@ -91,6 +115,8 @@ def write_session(golden: Path, mistake: Mistake, folder: Path) -> Path:
         name, kind, range_mm = row.split(",")
         if kind != "kind":
             shutil.copy(golden / SESSION / name, source)
+        if kind == "target" and mistake.fault is not None:
+            write_altered(source / name, mistake.fault)
         if kind in ("target", "flat"):
             range_mm = str(mistake.ranges_mm.get(float(range_mm), range_mm))
         rows.append(f"{name},{kind},{range_mm}")
@@ -98,6 +124,19 @@ def write_session(golden: Path, mistake: Mistake, folder: Path) -> Path:
     session = folder / "session"
     labkit.import_frames(source / "frames.csv", source / "plan.toml", session)
     return session
+
+
+def write_altered(path: Path, fault: Callable[[Floats], Floats]) -> None:
+    """Write a photograph with a fault in its place."""
+    photograph = read_photograph(path, Sensor(pixel_pitch_um=5.2))
+    black = round(float(photograph.black.mean()))
+    light = fault(np.asarray(photograph.counts - float(black), np.float64))
+    counts = np.clip(np.rint(light + black), 0, photograph.white).astype(np.uint16)
+    old = photograph.counts.astype("<u2").tobytes()
+    content = path.read_bytes()
+    assert content.count(old) == 1, path  # not compressed, in one strip
+    path.chmod(0o644)
+    path.write_bytes(content.replace(old, counts.astype("<u2").tobytes()))
 
 
 def processor_s() -> float:

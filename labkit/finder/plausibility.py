@@ -32,6 +32,9 @@ CORNERS_PX = 2.0
 STDS = 3.0
 """Standard errors of stated numbers that are allowed."""
 
+FILTERS_NM = {"R": (570.0, 720.0), "G": (480.0, 600.0), "B": (380.0, 520.0)}
+"""Light that the colours of filter arrays pass, broadly: light between two colours is in the bands of both."""
+
 
 @dataclass(frozen=True, slots=True)
 class Sight:
@@ -58,7 +61,7 @@ class _Size:
 def refuse_contradictions(
     sights: Sequence[Sight], plan: Plan, size_mm: tuple[float, float]
 ) -> None:
-    """Refuse sizes in the pictures that contradict the ranges, or the plan's numbers.
+    """Refuse sizes in the pictures that contradict the ranges, or the plan's numbers; and wavelengths that are exchanged.
 
     Parameters
     ----------
@@ -77,9 +80,31 @@ def refuse_contradictions(
             f"makes no picture; check both"
         )
     sizes = [_size(range_mm, sights, plan, size_mm) for range_mm in ranges]
-    problem = _among_ranges(sizes, plan) or _with_the_plan(sizes, plan)
+    problem = (
+        _among_colours(plan) or _among_ranges(sizes, plan) or _with_the_plan(sizes, plan)
+    )
     if problem:
         raise DataError(problem)
+
+
+def _among_colours(plan: Plan) -> str | None:
+    """Describe two wavelengths of which each is light of the other's filter, and none of its own; None without such."""
+    light = {c.name: c.wavelength_nm for c in plan.channel if c.name in FILTERS_NM}
+    for one, other in combinations(light, 2):
+        if all(
+            _passes(there, light[here]) and not _passes(here, light[here])
+            for here, there in ((one, other), (other, one))
+        ):
+            return (
+                f"channel {one} has wavelength_nm = {light[one]:g} and channel {other} has {light[other]:g}, light that only "
+                "the other's filter passes: exchange them"
+            )
+    return None
+
+
+def _passes(colour: str, wavelength_nm: float) -> bool:
+    low_nm, high_nm = FILTERS_NM[colour]
+    return low_nm < wavelength_nm < high_nm
 
 
 def _size(

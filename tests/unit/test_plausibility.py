@@ -52,6 +52,45 @@ def test_what_agrees_is_not_told() -> None:
     assert told(plan()) is None
 
 
+def in_light(**wavelength_nm: float) -> Plan:
+    return plan().replace(
+        channel=[{"name": c, "wavelength_nm": nm} for c, nm in wavelength_nm.items()]
+    )
+
+
+@pytest.mark.parametrize(
+    ("light", "first", "second"),
+    [
+        ({"R": 455.0, "G": 535.0, "B": 640.0}, "R", "B"),
+        ({"R": 535.0, "G": 640.0, "B": 455.0}, "R", "G"),
+        ({"R": 640.0, "G": 455.0, "B": 535.0}, "G", "B"),
+    ],
+)
+def test_exchanged_wavelengths_are_told(
+    light: dict[str, float], first: str, second: str
+) -> None:
+    problem = told(in_light(**light))
+    assert problem is not None
+    assert f"channel {first} has wavelength_nm = {light[first]:g}" in problem
+    assert f"channel {second} has {light[second]:g}" in problem
+    assert problem.endswith("exchange them")
+
+
+@pytest.mark.parametrize(
+    "light",
+    [
+        {"R": 640.0, "G": 535.0, "B": 455.0},
+        {"R": 594.0, "G": 512.0, "B": 472.0},
+        {"R": 590.0, "G": 590.0, "B": 590.0},  # one narrow light, which all filters leak
+        {"R": 850.0, "G": 850.0, "B": 850.0},  # infrared passes all of them
+        {"R": 700.0, "G": 850.0, "B": 940.0},
+        {"G": 640.0, "B": 455.0},
+    ],
+)
+def test_wavelengths_that_may_be_right_are_not_told(light: dict[str, float]) -> None:
+    assert told(in_light(**light)) is None
+
+
 @pytest.mark.parametrize("mp", [0.6, 1.0, 1.6])
 @pytest.mark.parametrize(
     ("focal_mm", "tape_mm", "near_mm", "share"),
