@@ -1,4 +1,4 @@
-"""Fits by wrong plans: whatever they end in, no warning of Python or NumPy reaches a user, not even one from a worker process."""
+"""Fits by wrong plans: whatever they end in, no warning of Python or NumPy reaches a user, not even from a worker process."""
 
 from __future__ import annotations
 
