@@ -7,12 +7,13 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from labkit.plan import Plan
 
-WRONG = {
+WRONG: dict[str, dict[str, Any]] = {
     "another order": {"target": {"order": 2}},
     "twice the size": {"target": {"size_mm": 31.2}},
     "a white surround": {"target": {"surround": "white"}},
