@@ -22,7 +22,7 @@ MOST_BYTES = 2**16
 MOST_LEARNT = 12
 """Last pieces of work of a kind that are kept: a machine's load changes."""
 
-ALIKE = 3.0
+LIKE_SIZE = 3.0
 """Ratio of sizes up to which work is alike: the time of large work is not that of small work, times its size."""
 
 FILE = "paces.json"
@@ -55,7 +55,7 @@ class Paces:
         size : in any unit of the kind's own
         """
         learnt = self._read().get(kind, [])
-        near = [one for one in learnt if max(one[0] / size, size / one[0]) <= ALIKE]
+        near = [one for one in learnt if max(one[0] / size, size / one[0]) <= LIKE_SIZE]
         each_s = [seconds / other for other, seconds in near or learnt]
         return size * median(each_s) if each_s else None
 

@@ -11,7 +11,7 @@ from labkit.optics.lens import ThinLens, ground_sample_mm
 from labkit.plan import Plan
 from labkit.session.frame import Frame
 
-USUAL_PX = 120.0
+USUAL_TARGET_PX = 120.0
 """Side of a target of which nothing says how large its picture is."""
 
 PIXELS_LIKE_A_FIT = 1e5
@@ -45,7 +45,7 @@ def target_px(plan: Plan, range_mm: float | None) -> float:
     if plan.target.corners_px is not None:
         return float(np.ptp(plan.target.corners_px, axis=0).max())
     if range_mm is None or range_mm <= plan.lens.focal_length_mm:
-        return USUAL_PX
+        return USUAL_TARGET_PX
     lens = ThinLens(plan.lens.focal_length_mm, plan.lens.f_number)
     sample_mm = float(ground_sample_mm(lens, range_mm, plan.sensor.pixel_pitch_um))
     return plan.target.size_mm / sample_mm

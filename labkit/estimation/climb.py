@@ -71,7 +71,7 @@ class NoisePrior:
 MOST_LIGHT = 1e6
 """Largest light of a trial over that where a climb began, or over one count."""
 
-MOST_UNEVENNESS = 10.0
+STEEPEST_LIGHT = 10.0
 """Largest coefficient of uneven light: at 1 it is dark in a corner."""
 
 
@@ -407,5 +407,5 @@ def sane(state: State, start: State) -> bool:
             return False
     light = np.abs([state.scales, state.ambients]).max()
     usual = max(np.abs([start.scales, start.ambients]).max(), 1.0)
-    even = bool(np.all(np.abs(state.unevenness) < MOST_UNEVENNESS))
+    even = bool(np.all(np.abs(state.unevenness) < STEEPEST_LIGHT))
     return bool(np.all(state.scales > 0)) and bool(light < MOST_LIGHT * usual) and even

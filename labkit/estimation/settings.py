@@ -108,7 +108,7 @@ class Settings:
     stray_stds: float = 8.0
     """Standard deviations of noise that a stray pixel departs at least: noise does by chance once in 10^15."""
     stray_ratio: float = 3.0
-    """Least ratio to the usual largest residual, that of the rank below. In first fits of seven golden sessions, with chi2 per
+    """Least ratio to the usual largest residual, that of the rank below. In first fits of eight golden sessions, with chi2 per
     pixel up to 21, the largest of all was up to 1.7 times that."""
     stray_share: float = 0.002
     """Largest share of stray pixels in a photograph: more residuals alike show what the model lacks."""

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from labkit.analysis.fit_size import USUAL_PX, fit_size, target_px
+from labkit.analysis.fit_size import USUAL_TARGET_PX, fit_size, target_px
 from labkit.plan import Plan
 from labkit.session.frame import Frame
 from tests.plans import PORTRAIT, RED_AND_GREEN
@@ -24,8 +24,8 @@ def test_the_targets_picture_is_as_large_as_a_thin_lens_makes_it() -> None:
     magnification = lens.focal_length_mm / (3000.0 - lens.focal_length_mm)
     side = 1000 * PLAN.target.size_mm * magnification / sensor.pixel_pitch_um
     assert target_px(PLAN, 3000.0) == pytest.approx(side)
-    assert target_px(PLAN, None) == USUAL_PX
-    assert target_px(PLAN, 1.0) == USUAL_PX
+    assert target_px(PLAN, None) == USUAL_TARGET_PX
+    assert target_px(PLAN, 1.0) == USUAL_TARGET_PX
 
 
 def test_a_fit_grows_with_ranges_channels_and_photographs_and_is_shared_by_processes() -> (

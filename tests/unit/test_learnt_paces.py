@@ -8,7 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from labkit.analysis.fit_size import USUAL_S
+from labkit.cli.sessions import _Timed
 from labkit.learnt_paces import MOST_BYTES, MOST_LEARNT, Paces
+from labkit.pace import EARLIER, RULE
 
 
 @pytest.fixture
@@ -83,3 +86,17 @@ def test_a_pipe_or_a_folder_in_place_of_the_store_is_never_waited_for(paces: Pac
 def test_a_folder_that_cannot_be_made_stops_nothing(tmp_path: Path) -> None:
     (tmp_path / "state").write_text("a file")
     Paces(tmp_path / "state" / "paces.json").learn("fit", 1.0, 5.0)
+
+
+def test_a_fit_is_expected_to_take_what_most_take_until_one_was_timed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    clock = [100.0]
+    monkeypatch.setattr("labkit.cli.sessions.time.monotonic", lambda: clock[0])
+    assert _Timed(0.0, True, 0.0).expected == (None, EARLIER)
+    assert _Timed(10.0, True, 0.0).expected == (10 * USUAL_S, RULE)
+    _Timed(10.0, False, 0.0).learn()  # went on where another one was interrupted
+    assert _Timed(10.0, True, 0.0).expected == (10 * USUAL_S, RULE)
+    _Timed(10.0, True, 0.0).learn()
+    assert _Timed(20.0, True, 0.0).expected == (200.0, EARLIER)
