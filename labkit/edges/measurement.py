@@ -115,10 +115,8 @@ def measure_edges(
     known = [[of for of in fits if of.task.place == place] for place in places]
     edges = tuple(_measured(of, law) for of in known if of)
     findings += _disagreements(edges)
-    wavefront = {}
-    if results is None:
-        wavefront = _common_wavefront(fits)
-        findings += _apart(fits, wavefront)
+    wavefront = _common_wavefront(fits) if results is None else {}
+    findings += _apart(fits, wavefront) if results is None else []
     return EdgesOutcome(edges, _rejected(every, why), tuple(each_once(findings)), wavefront)
 
 
