@@ -123,7 +123,8 @@ class Drawn:
         def excess(f: float) -> float:
             mask = np.exp(-2 * (np.pi * radius * f) ** 2)
             moved = self.transfer(*(np.array([f]) * across[:, None]))
-            return float(abs(moved[0])) * (1 + amount * (1 - mask)) - 0.5
+            sharp = float(1 + amount * (1 - mask))
+            return float(abs(moved[0])) * sharp - 0.5
 
         grid = np.linspace(0.01, 2, 400)
         first = next(k for k, f in enumerate(grid) if excess(f) < 0)

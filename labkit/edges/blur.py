@@ -54,7 +54,8 @@ class GaussianBlur(Blur):
 
     def transfer(self, frequency: Floats, numbers: Sequence[float]) -> Floats:
         (variance,) = numbers
-        return Diffusion(variance).transfer(frequency, np.zeros_like(frequency))
+        still = np.zeros_like(frequency)
+        return np.asarray(Diffusion(variance).transfer(frequency, still), np.float64)
 
     def slopes(self, frequency: Floats, numbers: Sequence[float]) -> Floats:
         (variance,) = numbers
@@ -70,11 +71,13 @@ class TwoSpots(Blur):
 
     def transfer(self, frequency: Floats, numbers: Sequence[float]) -> Floats:
         (square,) = numbers
-        return LowPass(rows=square).transfer(frequency, np.zeros_like(frequency))
+        still = np.zeros_like(frequency)
+        return np.asarray(LowPass(rows=square).transfer(frequency, still), np.float64)
 
     def slopes(self, frequency: Floats, numbers: Sequence[float]) -> Floats:
         (square,) = numbers
-        return LowPass(rows=square).slopes(frequency, np.zeros_like(frequency))[0][None]
+        by_square, _ = LowPass(rows=square).slopes(frequency, np.zeros_like(frequency))
+        return np.asarray(by_square[None], np.float64)
 
 
 class Motion(Blur):
@@ -135,5 +138,5 @@ class Sharpening(Blur):
         return np.asarray(np.exp(-2 * np.pi**2 * variance * frequency**2))
 
 
-KINDS: tuple[Blur, ...] = (GaussianBlur(), Motion(), TwoSpots(), Sharpening())
-MOST_NUMBERS = max(kind.size for kind in KINDS)
+BLURS: tuple[Blur, ...] = (GaussianBlur(), Motion(), TwoSpots(), Sharpening())
+MOST_NUMBERS = max(kind.size for kind in BLURS)

@@ -123,7 +123,7 @@ class ChannelFrame:
         pixels = self.read(place)
         if (pile := pixels.pile) is not None:
             raise DataError(
-                f"its bright side is clipped: {pile.share:.0%} of it is at one count, {pile.count}; expose less"
+                f"its bright side is clipped: {pile.share:.0%} of it is at one count, {pile.level}; expose less"
             )
         light, used = pixels.light, pixels.usable
         y, x = np.mgrid[place.slices].astype(float)
@@ -203,7 +203,7 @@ def lines_along(plane: Plane, found: FoundEdge) -> Plane:
 class Pile(NamedTuple):
     """Counts that are all one: the count, and its share of an edge's bright pixels."""
 
-    count: int
+    level: int
     share: float
 
 
@@ -215,16 +215,20 @@ def find_pile(counts: Counts) -> Pile | None:
     if not counts.size:
         return None
     values, many = np.unique(counts, return_counts=True)
-    middle = (float(values[0]) + float(values[-1])) / 2
+    lowest = float(values[0])
+    highest = float(values[-1])
+    middle = (lowest + highest) / 2
     bright = many[values > middle]
     if not bright.size:
         return None
     share = float(bright[-1] / bright.sum())
     dark = counts[counts <= middle].astype(float)
-    steps = np.diff(np.sort(dark)[[len(dark) // 4, 3 * len(dark) // 4]])
+    low, high = np.percentile(dark, (25, 75))
+    if share < LEAST_PILE or high == low:
+        return None
     below = bright[-1 - NEXT_BELOW : -1]
-    piled = share > LEAST_PILE and (not below.size or bright[-1] > MOST_TOP * below.max())
-    return Pile(int(values[-1]), share) if piled and np.all(steps > 0) else None
+    most = MOST_TOP * below.max(initial=0)
+    return Pile(int(highest), share) if bright[-1] > most else None
 
 
 def read_frames(paths: Sequence[Path], plan: Plan) -> list[Photograph]:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.stats import gmean
 
 from labkit.edges.blur import Motion, Sharpening
 from labkit.edges.box_fit import BoxFit, fit_box
@@ -154,17 +155,16 @@ def joint_problem(
 
 
 def _noises(boxes: Sequence[BoxFit]) -> list[NoisePrior]:
-    """Return the noise of each frame of a colour: the mean, of logarithms, over boxes."""
+    """Return the noise of each frame of a colour: the geometric mean over boxes."""
     every = [of.task.problem.noise for of in boxes]
-    return [
-        NoisePrior(
-            float(np.exp(np.mean([np.log(of.gain) for of in frame]))),
-            frame[0].gain_std,
-            float(np.exp(np.mean([np.log(of.read_variance) for of in frame]))),
-            frame[0].read_variance_std,
-        )
-        for frame in zip(*every, strict=True)
-    ]
+    noises = []
+    for frame in zip(*every, strict=True):
+        gains = [of.gain for of in frame]
+        variances = [of.read_variance for of in frame]
+        gain = float(gmean(gains))
+        read_variance = float(gmean(variances))
+        noises.append(replace(frame[0], gain=gain, read_variance=read_variance))
+    return noises
 
 
 def _of_one_range(boxes: Sequence[BoxFit]) -> list[BoxFit]:

@@ -18,14 +18,16 @@ from labkit.errors import DataError
 from labkit.types import Floats
 
 TOO_FAR = 4.5  # standard errors of the largest difference among a few dozen frequencies
-ALIKE = 0.002  # to which the steps repeat
-LOST = 0.1  # of a difference, at most, by bins and window
-HIGHEST = 0.75  # cycles a sample; beyond, copies of the response are larger than it
+REPEATED_TO = 0.002  # to which the steps repeat
+LOST_SHARE = 0.1  # of a difference, at most, by bins and window
+HIGHEST_COMPARED = (
+    0.75  # cycles a sample; beyond, copies of the response are larger than it
+)
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """What the photograph's response has more than the fit's.
+    """The difference of the photograph's response from the fit's.
 
     Attributes
     ----------
@@ -39,7 +41,7 @@ class Comparison:
     @property
     def pull(self) -> float:
         """Largest difference in standard errors."""
-        return float(np.max(np.abs(self.difference) / np.hypot(self.noise, ALIKE)))
+        return float(np.max(np.abs(self.difference) / np.hypot(self.noise, REPEATED_TO)))
 
     @property
     def contradicts(self) -> bool:
@@ -56,7 +58,9 @@ class Comparison:
         # beyond what was compared the last difference is unknown
         difference = np.interp(every, at, self.difference, left=0.0, right=0.0)
         noise = np.interp(every, at, self.noise, left=0.0)
-        unknown = np.where(every > at[-1], abs(self.difference[-1]), LOST * abs(difference))
+        unknown = np.where(
+            every > at[-1], abs(self.difference[-1]), LOST_SHARE * abs(difference)
+        )
         std = np.linalg.norm([response.std, noise, unknown], axis=0)
         return with_errors(every, response.value + difference, std)
 
@@ -68,7 +72,7 @@ def compare(
     fit: EdgeFit,
     k: int,
 ) -> Comparison | None:
-    """Return what the response by ISO 12233 has more than a region's fit; None where the fit's cannot be measured.
+    """Return the difference of the response by ISO 12233 from a region's fit; None where the fit's cannot be measured.
 
     Parameters
     ----------
@@ -91,7 +95,7 @@ def compare(
         modelled = esfr(drawn, pitch_um, measured.edition)
     except DataError:
         return None
-    highest = HIGHEST / (planes[0].step * pitch_um * 1e-3)
+    highest = HIGHEST_COMPARED / (planes[0].step * pitch_um * 1e-3)
     every = measured.frequency_per_mm
     used = (every > 0) & (every <= highest)
     value = np.interp(every[used], modelled.frequency_per_mm, modelled.value)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from labkit.edges.region import LINE, Edge, Region, mean_and_slopes
+from labkit.edges.region import LINE_NUMBERS, Edge, Region, mean_and_slopes
 from labkit.estimation.climb import NoisePrior
 from labkit.estimation.identifiability import inverse
 from labkit.estimation.levenberg_marquardt import Position, Step, climb, damped_step
@@ -235,7 +235,7 @@ class EdgeProblem:
         information[known, known] += precision
         at = state.places.edges
         for k, region in enumerate(self.regions):
-            shape = region.free[LINE:]
+            shape = region.free[LINE_NUMBERS:]
             weak = region.shape_stds**-2
             gradient[at[k][shape]] -= weak * state.edges[k][shape]
             total -= 0.5 * float(weak @ state.edges[k][shape] ** 2)

@@ -35,7 +35,7 @@ MOST_CORRECTION = 10.0  # of the derivative's own response
 ABOUT = (
     2 * OVERSAMPLING
 )  # bins on either side of the edge, of which no two neighbours may be empty
-PASSES = 2  # of the edge's place, and of the samples' places in their bins
+PLACE_PASSES = 2  # of the edge's place, and of the samples' places in their bins
 HIGHEST_FREQUENCY = 2.0  # cycles a sample, up to which curves are given
 TINY = 1e-9  # in place of a divisor of 0
 MOST_RISE = 0.2  # of a response beyond the samples' Nyquist frequency; lobes of a defocused lens have 0.13
@@ -48,7 +48,7 @@ UNSURE = (
 
 
 class Edition(NamedTuple):
-    """What an edition of the standard prescribes.
+    """The prescriptions of an edition of the standard.
 
     Attributes
     ----------
@@ -170,8 +170,9 @@ def esfr(planes: Sequence[Plane], pitch_um: float, edition: int = LATEST) -> Esf
             f"the edge passes {passages:.1f} of a sample within the box: the method of ISO 12233 needs a longer edge"
         )
     # bins begin at samples of the first line, not at the edge
-    into = (line(planes[0].first[0]) - planes[0].first[1]) / planes[0].step * OVERSAMPLING
-    into = (into - round(into)) / OVERSAMPLING
+    row, column = planes[0].first
+    bins = (line(row) - column) / planes[0].step * OVERSAMPLING
+    into = (bins - round(bins)) / OVERSAMPLING
     samples = np.concatenate([_projected(plane, line, slope) for plane in planes], axis=1)
     samples[0] += into
     window = EDITIONS[edition].even
@@ -193,7 +194,7 @@ def _edge_place(planes: Sequence[Plane], edition: Edition) -> tuple[Polynomial, 
     then about the previous polynomial.
     """
     place: Polynomial | None = None
-    for _ in range(PASSES):
+    for _ in range(PLACE_PASSES):
         row, column = np.concatenate(
             [_crossings(plane, place, edition) for plane in planes], axis=1
         )
@@ -286,8 +287,8 @@ def _response(
     light = spectrum[0]
     by_bin = (transform - np.outer(spectrum / light, transform[0])) / light
     value, slopes = modulus(spectrum / light, by_bin.T)
-    repeating = [aside, *_uneven_light(mean)]
-    systematic = np.linalg.norm([by_bin @ each for each in repeating], axis=0)
+    repeating = np.stack([aside, *_uneven_light(mean)])
+    systematic = np.linalg.norm(repeating @ by_bin.T, axis=0)
     # a bin's mean is that of its width; and the window takes from the tails what it shows next to frequency 0
     loss = value * (1 - np.sinc(cycles))
     cut = value * (1 - even) * abs(1 - value[1])
@@ -317,7 +318,7 @@ def _binned(samples: Floats, bins: Indices, count: int) -> tuple[Floats, Floats,
     plain = _bin_means(bins, values, many)
     mean = plain
     before = plain
-    for _ in range(PASSES):
+    for _ in range(PLACE_PASSES):
         before = mean
         mean = plain - off * np.gradient(mean)
     left = values - mean[bins] - place * np.gradient(mean)[bins]

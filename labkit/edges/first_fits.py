@@ -26,10 +26,10 @@ from labkit.edges.edge_fit import (
     fit_edges,
 )
 from labkit.edges.region import (
-    BOWS,
+    BOW_NUMBERS,
     HIGHEST_ORDER,
-    LIGHT,
-    LINE,
+    LIGHT_NUMBERS,
+    LINE_NUMBERS,
     Edge,
     Region,
     blurred_slopes,
@@ -56,7 +56,7 @@ CELL_PX = 6.0  # length of the cells whose mean residuals show structure, twice 
 FEWEST_IN_CELL = 4
 WIDTHS_PX = (1.0, 5.0)  # of rough edges, to begin with
 LARGEST_LOG_WIDTH = 5.0
-MOST_STEPS = 30  # of a rough fit
+MOST_ROUGH_STEPS = 30  # of a rough fit
 NO_STRAIGHT_EDGE = (
     "it holds no straight edge between two even sides: what {left} varies by {share:.0%} of the step, at most {most:.0%} is "
     "allowed; take a smaller box"
@@ -100,11 +100,11 @@ class RoughEdge:
         numbers = np.array(every.edge)[every.region.free] * scale[:-1]
         costs = {}
         for order, even in product(range(1, HIGHEST_ORDER + 1), (True, False)):
-            out = [*BOWS[order - 1 :], *(LIGHT if even else ())]
+            out = [*BOW_NUMBERS[order - 1 :], *(LIGHT_NUMBERS if even else ())]
             fall = 0.0
             if out:
                 within = np.linalg.inv(covariance[np.ix_(out, out)])
-                fall = float(numbers[out] @ within @ numbers[out]) / np.mean(left**2)
+                fall = float(numbers[out] @ within @ numbers[out]) / float(np.mean(left**2))
             costs[order, even] = fall - len(out) * np.log(left.size)
         order, even = min(costs, key=lambda of: costs[of])
         return _settled(replace(self, region=replace(self.region, order=order, even=even)))
@@ -181,7 +181,7 @@ def _settled(rough: RoughEdge) -> RoughEdge:
     free = rough.region.free
     rise = abs(rough.edge.rise)
     scale = np.ones(len(Edge._fields))
-    scale[2:LINE] = rise
+    scale[2:LINE_NUMBERS] = rise
 
     def at(numbers: Floats) -> RoughEdge:
         edge = np.zeros(len(Edge._fields))
@@ -193,10 +193,11 @@ def _settled(rough: RoughEdge) -> RoughEdge:
         _, by_number = at(numbers).mean_and_slopes()
         return np.asarray(-by_number.T * np.append(scale[free], 1.0) / rise)
 
+    def residuals(numbers: Floats) -> Floats:
+        return at(numbers).residuals / rise
+
     start = np.append(np.array(rough.edge)[free] / scale[free], np.log(rough.width_px))
-    end = least_squares(
-        lambda numbers: at(numbers).residuals / rise, start, slopes, max_nfev=MOST_STEPS
-    )
+    end = least_squares(residuals, start, slopes, max_nfev=MOST_ROUGH_STEPS)
     return at(end.x)
 
 
@@ -277,8 +278,8 @@ def fit_depth(
 
 def _light_is_uneven(fit: EdgeFit, k: int) -> bool:
     """Return whether the counts of a region call for uneven light, by the Bayesian information criterion."""
-    places = fit.state.places.edges[k, list(LIGHT)]
-    light = fit.state.edges[k, list(LIGHT)]
+    places = fit.state.places.edges[k, list(LIGHT_NUMBERS)]
+    light = fit.state.edges[k, list(LIGHT_NUMBERS)]
     gain = float(light @ np.linalg.solve(fit.among(places), light))
     return gain > light.size * float(np.log(fit.problem.regions[k].counts.size))
 

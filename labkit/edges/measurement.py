@@ -24,7 +24,7 @@ from labkit.edges.outcome import ChannelEdge, EdgesOutcome, MeasuredEdge, Reject
 from labkit.edges.ranges import AS_LIKELY, EdgeRange, FocusLaw, edge_range
 from labkit.errors import DataError
 from labkit.execute import Workers, default_workers
-from labkit.findings import each_once, found
+from labkit.findings import Finding, each_once, found
 from labkit.photographs.photograph import Photograph
 from labkit.plan import Plan, leading_channel
 from labkit.results import Results
@@ -84,10 +84,7 @@ def measure_edges(
 
     >>> labkit.measure_edges("chart.dng", "plan.toml", psf="night-3").edges
     """
-    if edition not in EDITIONS:
-        raise DataError(
-            f"edition {edition} of ISO 12233: allowed are {', '.join(map(str, EDITIONS))}"
-        )
+    _refuse_edition(edition)
     paths = [images] if isinstance(images, Path | str) else images
     plan = plan if isinstance(plan, Plan) else Plan.load(Path(plan))
     results = psf if psf is None or isinstance(psf, Results) else Results.load(psf)
@@ -104,10 +101,8 @@ def measure_edges(
         findings.append(found("ranges-not-determined"))
     places = [Place(box) for box in dict.fromkeys(boxes)]
     if not places:
-        places = ChannelFrame.of(first, leading_channel(names)).find_places(most)
-    if not places:
-        raise DataError(
-            f"{paths[0]}: no straight edge between two even sides was found; give one with --box"
+        places = _found_places(
+            ChannelFrame.of(first, leading_channel(names)), most, paths[0]
         )
     focused = None if law is None else float(np.mean(law.focus_mm))
     cameras = [camera_of(plan, name, results, first.full_light, focused) for name in names]
@@ -115,21 +110,31 @@ def measure_edges(
     fits = [of for of in every if of.ends and of.task.place not in why]
     if one_range:
         why |= contradictions(fits)
-    fits = in_common([of for of in fits if of.task.place not in why], one_range)
-    fits = name_motion(fits)
+    fits = [of for of in fits if of.task.place not in why]
+    fits = name_motion(in_common(fits, one_range))
     known = [[of for of in fits if of.task.place == place] for place in places]
     edges = tuple(_measured(of, law) for of in known if of)
-    findings += [
-        finding
-        for edge in edges
-        for channel in edge.channels
-        for finding in channel.disagreement(edge.box)
-    ]
-    together = len({id(of.fit) for of in fits}) < len(fits) or len(fits) == 1
-    if results is None and fits and not together:
-        findings.append(found("edges-without-common-wavefront"))
-    wavefront = _wavefront(fits[0].fit) if results is None and together else {}
+    findings += _disagreements(edges)
+    wavefront = _common_wavefront(fits) if results is None else {}
+    findings += _apart(fits, wavefront) if results is None else []
     return EdgesOutcome(edges, _rejected(every, why), tuple(each_once(findings)), wavefront)
+
+
+def _found_places(frame: ChannelFrame, most: int, path: Path | str) -> list[Place]:
+    """Find edges. Raises DataError, which names the photograph's path, for none."""
+    places = frame.find_places(most)
+    if not places:
+        raise DataError(
+            f"{path}: no straight edge between two even sides was found; give one with --box"
+        )
+    return places
+
+
+def _refuse_edition(edition: int) -> None:
+    """Raise DataError for an edition that is not known."""
+    if edition not in EDITIONS:
+        allowed = ", ".join(map(str, EDITIONS))
+        raise DataError(f"edition {edition} of ISO 12233: allowed are {allowed}")
 
 
 def measured_channels(
@@ -245,7 +250,28 @@ def _line(fit: EdgeFit, k: int) -> Floats:
     return np.asarray(foot + np.outer(ends, normal[::-1] * [1, -1]))
 
 
-def _wavefront(fit: EdgeFit) -> dict[int, Uncertain]:
-    """Return the modes but defocus, estimated with the edges."""
+def _disagreements(edges: Sequence[MeasuredEdge]) -> list[Finding]:
+    """Return what the lens does not explain of the edges."""
+    return [
+        finding
+        for edge in edges
+        for channel in edge.channels
+        for finding in channel.disagreement(edge.box)
+    ]
+
+
+def _apart(boxes: Sequence[BoxFit], wavefront: Mapping[int, Uncertain]) -> list[Finding]:
+    """Return whether no common wavefront explains several boxes."""
+    apart = len(boxes) > 1 and not wavefront
+    return [found("edges-without-common-wavefront")] if apart else []
+
+
+def _common_wavefront(boxes: Sequence[BoxFit]) -> dict[int, Uncertain]:
+    """Return the modes but defocus, estimated with the edges; none where each edge has its own."""
+    if not boxes:
+        return {}
+    fit = boxes[0].fit
+    if len(boxes) > 1 and all(of.fit is not fit for of in boxes[1:]):
+        return {}
     modes = zip(fit.problem.noll[1:], fit.state.modes, fit.std.modes, strict=True)
     return {j: Uncertain(value, std, "waves") for j, value, std in modes}

@@ -11,18 +11,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from labkit.edges.blur import KINDS, Blur, Sharpening
-from labkit.edges.comparison import ALIKE, Comparison
+from labkit.edges.blur import BLURS, Blur, Sharpening
+from labkit.edges.comparison import REPEATED_TO, Comparison
 from labkit.edges.edge_fit import EdgeFit, fit_edges
 from labkit.edges.first_fits import NEAR_FOCUS, twin
-from labkit.edges.region import BLUR
+from labkit.edges.region import BLUR_NUMBERS
 from labkit.edges.response import fitted_response
 from labkit.edges.spread import EdgeBlur, camera_slice
 from labkit.optics.mtf import modulus
-from labkit.types import Floats
+from labkit.types import Complexes, Floats
 
 LEAST_GAIN = 12.0  # of chi-squared, for each number
-AS_LIKELY = 9.0  # of chi-squared: kinds that may be the true one as well
+AS_LIKELY_KIND = 9.0  # of chi-squared: kinds that may be the true one as well
 BEYOND = 0.02  # of a response above the best lens's: no aberration does that
 USUAL_DEFOCUS_STD = 1.0  # waves RMS
 
@@ -69,7 +69,7 @@ class Measured:
         response = fitted_response(fit)
         per_mm = comparison.frequency_per_mm
         own = np.interp(per_mm, response.frequency_per_mm, response.value, right=0.0)
-        noise = np.hypot(comparison.noise, ALIKE)
+        noise = np.hypot(comparison.noise, REPEATED_TO)
         return cls(fit, 1e-3 * per_mm, own + comparison.difference, noise)
 
     @property
@@ -95,7 +95,8 @@ class Measured:
             value, _ = self._response(numbers, kind)
             waves, blur = np.split(numbers, [known.size])
             own = (value - self.value) / self.noise
-            return np.concatenate([own, weight @ (waves - known), blur / stds])
+            lens_own = weight @ (waves - known)
+            return np.concatenate([own, lens_own, blur / stds])
 
         def slopes(numbers: Floats) -> Floats:
             _, by_number = self._response(numbers, kind)
@@ -114,7 +115,7 @@ class Measured:
         blur = None if kind is None else EdgeBlur(kind, tuple(numbers[modes:].tolist()))
         return modulus(*self._slice(numbers[:modes], blur))
 
-    def _slice(self, waves: Floats, blur: EdgeBlur | None) -> tuple[Floats, Floats]:
+    def _slice(self, waves: Floats, blur: EdgeBlur | None) -> tuple[Complexes, Complexes]:
         """Return the transfer function along the edge's normal, and its slopes."""
         fit = self.fit
         optics = fit.problem.optics_of(0)
@@ -130,7 +131,7 @@ def find_blur(fit: EdgeFit, comparison: Comparison) -> OtherBlur | None:
     alone = min(measured.explained(None, (), defocus)[0] for defocus in defoci)
     costs: dict[Blur, float] = {}
     ends: dict[Blur, Floats] = {}
-    for kind in KINDS:
+    for kind in BLURS:
         if isinstance(kind, Sharpening) and not measured.beyond_best:
             continue
         for start in kind.starts:
@@ -143,7 +144,7 @@ def find_blur(fit: EdgeFit, comparison: Comparison) -> OtherBlur | None:
     if not costs:
         return None
     kinds = sorted(costs, key=lambda kind: costs[kind])
-    likely = [kind for kind in kinds if costs[kind] < costs[kinds[0]] + AS_LIKELY]
+    likely = [kind for kind in kinds if costs[kind] < costs[kinds[0]] + AS_LIKELY_KIND]
     waves, numbers = np.split(ends[kinds[0]], [len(fit.problem.noll)])
     return OtherBlur(EdgeBlur(kinds[0], tuple(numbers.tolist())), tuple(likely), waves)
 
@@ -155,7 +156,7 @@ def fit_with_blur(ends: Sequence[EdgeFit], other: OtherBlur) -> tuple[EdgeFit, .
     regions = tuple(replace(region, blur=kind) for region in end.problem.regions)
     problem = replace(end.problem, regions=regions)
     edges = end.state.edges.copy()
-    edges[:, BLUR[: kind.size]] = other.blur.numbers
+    edges[:, BLUR_NUMBERS[: kind.size]] = other.blur.numbers
     defoci = np.full(1, other.waves[0])
     start = replace(end.state, defoci=defoci, modes=other.waves[1:], edges=edges)
     fit = fit_edges(problem, start)

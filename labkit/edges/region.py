@@ -15,12 +15,12 @@ from labkit.imaging.optics import Optics
 from labkit.types import Bools, Floats, Indices
 
 LEAST_REGION_PIXELS = 60  # of a region: an edge and its noise are six numbers
-LINE = 4  # numbers of a straight edge between even sides
+LINE_NUMBERS = 4  # numbers of a straight edge between even sides
 HIGHEST_ORDER = 5  # of the polynomial that is an edge's place
-BOWS = tuple(range(LINE, LINE + HIGHEST_ORDER - 1))
-LIGHT = tuple(range(BOWS[-1] + 1, BOWS[-1] + 4))
-BLUR = tuple(range(LIGHT[-1] + 1, LIGHT[-1] + 1 + MOST_NUMBERS))
-SHAPE_STDS = np.array([10.0] * len(BOWS) + [1.0] * len(LIGHT))
+BOW_NUMBERS = tuple(range(LINE_NUMBERS, LINE_NUMBERS + HIGHEST_ORDER - 1))
+LIGHT_NUMBERS = tuple(range(BOW_NUMBERS[-1] + 1, BOW_NUMBERS[-1] + 4))
+BLUR_NUMBERS = tuple(range(LIGHT_NUMBERS[-1] + 1, LIGHT_NUMBERS[-1] + 1 + MOST_NUMBERS))
+SHAPE_STDS = np.array([10.0] * len(BOW_NUMBERS) + [1.0] * len(LIGHT_NUMBERS))
 """Of bow and light among edges: a prior so wide that it says nothing."""
 
 
@@ -80,7 +80,7 @@ class Edge(NamedTuple):
     @property
     def departure(self) -> Floats:
         """(6,) coefficients of Legendre's series of the distance from the line by the place along it, half sizes."""
-        bows = np.array(self[LINE : LINE + len(BOWS)])
+        bows = np.array(self[LINE_NUMBERS : LINE_NUMBERS + len(BOW_NUMBERS)])
         constant = bows @ legendre.legval(0.0, np.eye(HIGHEST_ORDER + 1)[:, 2:])
         return np.concatenate([[-constant, 0.0], bows])
 
@@ -150,22 +150,24 @@ class Region:
     @property
     def free(self) -> Indices:
         """Places of an edge's fitted numbers."""
-        light = () if self.even else LIGHT
-        blur = BLUR[: self.blur.size] if self.blur else ()
-        return np.array([*range(LINE), *BOWS[: self.order - 1], *light, *blur])
+        light = () if self.even else LIGHT_NUMBERS
+        blur = BLUR_NUMBERS[: self.blur.size] if self.blur else ()
+        return np.array(
+            [*range(LINE_NUMBERS), *BOW_NUMBERS[: self.order - 1], *light, *blur]
+        )
 
     @property
     def shape_stds(self) -> Floats:
         """(k,) standard deviations of the fitted numbers behind the first four: wide priors about 0."""
-        shape = [k for k in self.free if LINE <= k < BLUR[0]]
+        shape = [k for k in self.free if LINE_NUMBERS <= k < BLUR_NUMBERS[0]]
         blur = self.blur.stds if self.blur else ()
-        return np.array([*SHAPE_STDS[np.array(shape, int) - LINE], *blur])
+        return np.array([*SHAPE_STDS[np.array(shape, int) - LINE_NUMBERS], *blur])
 
     def blur_of(self, edge: Edge) -> EdgeBlur | None:
         """Return an edge's blur that no wavefront makes."""
         if self.blur is None:
             return None
-        return EdgeBlur(self.blur, edge[BLUR[0] : BLUR[0] + self.blur.size])
+        return EdgeBlur(self.blur, edge[BLUR_NUMBERS[0] : BLUR_NUMBERS[0] + self.blur.size])
 
     def across_and_along(self, edge: Edge) -> tuple[Floats, Floats]:
         """Return distances (n,) beyond the edge along its normal, and along the line, pixels: r and t of thesis (5.1)."""
@@ -177,10 +179,12 @@ class Region:
         off, along = turned(edge.angle, *self.offsets)
         t = along / self.half_px
         departure = edge.departure
-        lean = legendre.legval(t, legendre.legder(departure)) / self.half_px
+        slope = np.asarray(legendre.legval(t, legendre.legder(departure)), np.float64)
+        lean = slope / self.half_px
         # a distance along the line's normal is longer than along the edge's own
-        longer = np.hypot(1, lean)
-        across = (off - edge.distance_px - legendre.legval(t, departure)) / longer
+        longer = np.sqrt(1 + lean**2)
+        place = np.asarray(edge.distance_px + legendre.legval(t, departure), np.float64)
+        across = (off - place) / longer
         u = off / self.half_px
         light = 1 + edge.across * u + edge.along * t + edge.twist * u * t
         return Placed(across, along, off, lean, longer, light)

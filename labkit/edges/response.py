@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labkit.edges.edge_fit import EdgeFit
-from labkit.edges.region import BLUR
+from labkit.edges.region import BLUR_NUMBERS
 from labkit.edges.spread import EdgeBlur, camera_slice
 from labkit.imaging.optics import Optics
 from labkit.optics.mtf import modulus
@@ -63,7 +63,9 @@ def fitted_response(fit: EdgeFit, k: int = 0) -> Response:
     blur = problem.regions[k].blur_of(edge)
     places = problem.wavefront(fit.state.places, k)
     if blur is not None:
-        places = np.append(places, fit.state.places.edges[k, list(BLUR[: blur.kind.size])])
+        places = np.append(
+            places, fit.state.places.edges[k, list(BLUR_NUMBERS[: blur.kind.size])]
+        )
     return response_along(
         problem.optics_of(k),
         problem.wavefront(fit.state, k),

@@ -10,28 +10,30 @@ from labkit.estimation.climb import NoisePrior
 from labkit.types import Floats
 
 CLEAR_WIDTHS, CLEAR_PX = 3.0, 2.0  # from the edge: of its blur, and further pixels
-FEWEST = 40  # pixels of a side
-ORDER = 2  # of the surface through a side
-MOST_STDS = 4.0  # of a residual: others are dust or hot pixels
+FEWEST_IN_SIDE = 40  # pixels of a side
+SURFACE_ORDER = 2  # of the surface through a side
+MOST_RESIDUAL_STDS = 4.0  # of a residual: others are dust or hot pixels
 AS_SURE = 1e-2
 """Relative error that the noise keeps in a fit: residuals of a poor model must not enlarge it."""
 
 LEAST_START = 0.01  # of the prior's numbers
-LEAST_VARIANCE = 1 / 24  # counts squared: half of what rounding makes
+LEAST_SIDE_VARIANCE = 1 / 24  # counts squared: half of what rounding makes
 
 
 def noise_of_sides(rough: RoughEdge, prior: NoisePrior) -> NoisePrior:
     """Return the noise by both sides of an edge and by the prior; the prior alone where the sides are small."""
-    means, variances, counts = [], [], []
+    means: list[float] = []
+    variances: list[float] = []
+    counts: list[int] = []
     region = rough.region
     across, along = region.across_and_along(rough.edge)
     clear = CLEAR_WIDTHS * rough.width_px + CLEAR_PX
     for side in (across < -clear, across > clear):
-        if side.sum() < FEWEST:
+        if side.sum() < FEWEST_IN_SIDE:
             return prior
         level, variance, count = _scatter(across[side], along[side], region.counts[side])
         means.append(level)
-        variances.append(max(variance, LEAST_VARIANCE))
+        variances.append(max(variance, LEAST_SIDE_VARIANCE))
         counts.append(count)
     mean = np.array(means).clip(0)
     wanted = np.log(variances)
@@ -54,13 +56,17 @@ def noise_of_sides(rough: RoughEdge, prior: NoisePrior) -> NoisePrior:
 def _scatter(x: Floats, y: Floats, counts: Floats) -> tuple[float, float, int]:
     """Return mean and variance of counts (n,) about a smooth surface over places, and how many degrees of freedom it has."""
     x, y = (each - each.mean() for each in (x, y))
-    terms = [x**i * y**j for i in range(ORDER + 1) for j in range(ORDER + 1 - i)]
+    terms = [
+        x**i * y**j for i in range(SURFACE_ORDER + 1) for j in range(SURFACE_ORDER + 1 - i)
+    ]
     basis = np.stack(terms, axis=1)
+    least = basis.shape[1]
     used = np.ones(counts.size, bool)
     for _ in range(2):
         numbers = np.linalg.lstsq(basis[used], counts[used], rcond=None)[0]
         left = counts - basis @ numbers
-        freedom = int(used.sum()) - basis.shape[1]
-        variance = float(np.sum(left[used] ** 2)) / freedom
-        used = left**2 <= MOST_STDS**2 * variance
+        freedom = int(used.sum()) - least
+        squares = float(np.sum(left[used] ** 2))
+        variance = squares / freedom
+        used = left**2 <= MOST_RESIDUAL_STDS**2 * variance
     return float(counts.mean()), variance, freedom

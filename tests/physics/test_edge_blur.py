@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from labkit.edges.blur import KINDS, Blur, GaussianBlur, Motion, Sharpening, TwoSpots
+from labkit.edges.blur import BLURS, Blur, GaussianBlur, Motion, Sharpening, TwoSpots
 
 NU = np.linspace(0, 1.2, 61)
 
 
-@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: type(kind).__name__)
+@pytest.mark.parametrize("kind", BLURS, ids=lambda kind: type(kind).__name__)
 @pytest.mark.parametrize("sign", [1.0, -0.3])
 def test_slopes_are_those_of_differences(kind: Blur, sign: float) -> None:
     for start in kind.starts:

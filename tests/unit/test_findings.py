@@ -200,6 +200,8 @@ SAMPLES = [
         "edge-bowed", None, {"at": "1,2,30,40"}, box=[1, 2, 30, 40], channel="G", bow_px=1.2
     ),
     found("edges-without-common-wavefront"),
+    found("chart-edges-left-out", cut=5, clipped=2),
+    found("chart-edges-not-fitted", count=3, why="it holds no edge"),
     found(
         "chart-edges-blurred-otherwise",
         count=12,
@@ -207,8 +209,6 @@ SAMPLES = [
         channel="G",
         cause="motion during the exposure",
     ),
-    found("chart-edges-left-out", cut=5, clipped=2),
-    found("chart-edges-not-fitted", count=3, why="it holds no edge"),
     found("chart-edges-along-pixels", count=12, edges=140),
     found("chart-directions-missing", count=8, places=35),
     found("chart-focus-sign-open"),
