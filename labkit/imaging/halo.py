@@ -95,8 +95,8 @@ def light_beyond(torus: Torus, target: Target, whole: Pose) -> Floats | None:
     right = (columns[:, None] - sources[:, 1]) ** 2
     seen = [(d + right) ** -1.5 @ light for d in down]
     spline = RectBivariateSpline(rows, columns, dot_px / np.pi**3 * np.array(seen))
-    every_row, every_column = (np.arange(float(side)) for side in torus.frame)
-    return np.asarray(spline(every_row, every_column))
+    every = [np.arange(side, dtype=np.float64) for side in torus.frame]
+    return np.asarray(spline(every[0], every[1]))
 
 
 def wrapped_light(

@@ -90,5 +90,5 @@ def test_one_photograph_of_a_large_carpet_is_a_field_of_right_tiles(
         truth = np.array(WAVES) * [even, even, even, 1, 1]
         pulls.append((fit.waves - truth) / np.sqrt(np.diag(fit.covariance)))
         assert fit.seconds < 60
-    # of 40 unit normal numbers the RMS is 1 ± 0.11: allow four of these; measured: 1.03 and 1.11
+    # of 40 unit normal numbers the RMS is 1 ± 0.11: allow four of these; measured: 1.12, with distortion 1.16
     assert np.sqrt(np.mean(np.square(pulls))) < 1.45

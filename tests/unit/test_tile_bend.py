@@ -52,7 +52,7 @@ def bent(bend: Floats, at: Floats) -> Floats:
     """Displacements (n, 2) of places on a tile, halves of its sides."""
     y, x = at.T
     powers = [(i, j) for i in range(4) for j in range(4)]
-    return sum(bend[:, i, j] * (y**i * x**j)[:, None] for i, j in powers)
+    return np.asarray(sum(bend[:, i, j] * (y**i * x**j)[:, None] for i, j in powers))
 
 
 @pytest.mark.parametrize("percent", [-0.8, -5.0, 5.0])
