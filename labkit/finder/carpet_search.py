@@ -32,7 +32,7 @@ SPOT_WINDOW, SPOT_STD = 11, 1.7
 LEAST_SPOT = 0.6
 """Least correlation with the spot's kernel. Carpets have 0.74 to 0.88, in and out of focus, in 80 drawn rooms."""
 
-STRIP_ROWS = 128
+ROWS_OF_SPOTS = 128
 """Rows of a picture that are correlated with the spot's kernel at once."""
 
 MOST_SPOTS = 1000
@@ -182,10 +182,10 @@ def _spot_likeness(image: Singles) -> Singles:
     likeness = np.empty_like(image)
     rim = SPOT_WINDOW // 2
     # in strips, which stay in the processor's cache
-    for first in range(0, len(image), STRIP_ROWS):
+    for first in range(0, len(image), ROWS_OF_SPOTS):
         top = max(first - rim, 0)
-        strip = _strip_likeness(image[top : first + STRIP_ROWS + rim], least_variance)
-        likeness[first : first + STRIP_ROWS] = strip[first - top :][:STRIP_ROWS]
+        strip = _strip_likeness(image[top : first + ROWS_OF_SPOTS + rim], least_variance)
+        likeness[first : first + ROWS_OF_SPOTS] = strip[first - top :][:ROWS_OF_SPOTS]
     return likeness
 
 
