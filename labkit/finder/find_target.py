@@ -47,7 +47,7 @@ The search looks for targets of 20 pixels and more; registration may shrink one 
 
 USUAL_PX, SMALLEST_PX = 48.0, 20.0
 """Smallest side of a carpet that is searched for, and where none is found: a fit wants 60 pixels. In a frame of 24 million
-pixels a search takes 0.4 s of a processor without the smallest, 1.5 s with them (`python -m benchmarks.rooms`)."""
+pixels a search takes 0.5 s of a processor without the smallest, 1.4 s with them (`python -m benchmarks.rooms`)."""
 
 SMALLEST_FITTED_PX = 36.0
 """Side below which a target says nothing: a carpet's squares of the third order have 1.3 pixels."""

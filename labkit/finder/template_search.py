@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from functools import cache, partial
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from labkit.finder.carpet_search import Likely
 from labkit.finder.picture import Picture, Singles
@@ -63,11 +65,16 @@ def _places(
     scale = TEMPLATE_SIDE / side_px
     small = cv2.GaussianBlur(picture.scaled(scale), (0, 0), BLUR_PX)
     relative = np.asarray(small / max(float(np.ptp(small)), 1e-9), np.float32)
+    uneven = cache(
+        partial(_uneven, relative)
+    )  # templates in several directions have one shape
     for template, corners in templates:
         if template.shape[0] <= small.shape[0] and template.shape[1] <= small.shape[1]:
-            likeness = _likeness(relative, template)
-            _, score, _, (col, row) = cv2.minMaxLoc(likeness)
-            yield Likely((corners + (row, col) + 0.5) / scale - 0.5, float(score))
+            # OpenCV may give 1 in even areas
+            likeness = cv2.matchTemplate(relative, template, cv2.TM_CCOEFF_NORMED)
+            _, score, _, (col, row) = cv2.minMaxLoc(likeness, uneven(template.shape))
+            if score > 0:  # else all is even
+                yield Likely((corners + (row, col) + 0.5) / scale - 0.5, float(score))
 
 
 def _distinct(places: Iterable[Likely]) -> list[Likely]:
@@ -82,22 +89,16 @@ def _distinct(places: Iterable[Likely]) -> list[Likely]:
     return kept
 
 
-def _likeness(picture: Singles, template: Singles) -> Singles:
-    """Return the correlation with the template at each place; 0 where the image is even.
-
-    OpenCV may give 1 in even areas.
-    """
-    likeness = cv2.matchTemplate(picture, template, cv2.TM_CCOEFF_NORMED)
-    rows, cols = likeness.shape
+def _uneven(picture: Singles, shape: tuple[int, int]) -> NDArray[np.uint8]:
+    """Return an image that is 1 where a window of a shape that begins there is not even, and 0 elsewhere."""
+    rows, cols = (n - side + 1 for n, side in zip(picture.shape, shape, strict=True))
     mean, square = (
-        cv2.blur(
-            values, template.shape[::-1], anchor=(0, 0), borderType=cv2.BORDER_REPLICATE
-        )[:rows, :cols]
+        cv2.blur(values, shape[::-1], anchor=(0, 0), borderType=cv2.BORDER_REPLICATE)[
+            :rows, :cols
+        ]
         for values in (picture, picture**2)
     )
-    return np.asarray(
-        np.where(square - mean**2 > LEAST_DEVIATION**2, likeness, 0.0), dtype=np.float32
-    )
+    return np.asarray(square - mean**2 > LEAST_DEVIATION**2, np.uint8)
 
 
 def _templates(target: Target) -> list[tuple[Singles, Floats]]:
