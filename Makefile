@@ -1,4 +1,4 @@
-# make demo, make test, make fast, make check, make docs, make coverage, make lowest, make bench: each sets up what it needs first.
+# make demo, make test, make accuracy, make soak, make fast, make check, make docs, make coverage, make lowest, make bench: each sets up what it needs first.
 # Needs make and Python 3.11 or newer with venv (Debian: apt-get install make python3 python3-venv).
 
 PYTHON ?= $(firstword $(shell for p in python3 python3.13 python3.12 python3.11 python3.14; do \
@@ -10,13 +10,22 @@ BIN := .venv/bin
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 PROCESSES := $(shell expr 3 \* $$(getconf _NPROCESSORS_ONLN) / 2)
 
-.PHONY: picture field-picture demo test fast coverage lowest chromium umockdev check types docs bench readme sony-raw clean
+.PHONY: picture field-picture demo test accuracy soak fast coverage lowest chromium umockdev check types docs bench readme sony-raw clean
 
 demo: .venv/installed
 	$(BIN)/labkit demo
 
+PYTEST := $(ONE_THREAD) $(BIN)/python -m pytest -n $(PROCESSES) --dist loadfile --no-loadscope-reorder
+
 test: .venv/installed-test chromium umockdev
-	$(ONE_THREAD) $(BIN)/python -m pytest -n $(PROCESSES) --dist loadfile --no-loadscope-reorder
+	$(PYTEST) -m 'not accuracy and not soak'
+
+# Whole sessions against their truths. What passed with today's numerics (tests/accuracy.json) is not run again.
+accuracy: .venv/installed-test
+	$(PYTEST) -p tests.accuracy -m accuracy
+
+soak: .venv/installed-test
+	$(PYTEST) -m soak
 
 # What says within a minute whether something is broken.
 FAST := $(ONE_THREAD) BIN/python -m pytest -q -n auto --dist worksteal -m 'not slow' tests/unit

@@ -49,7 +49,31 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Scheduling |
     return Scheduling(config, log) if config.getvalue("dist") == "loadfile" else None
 
 
+ACCURACY = {
+    f"tests/system/test_{name}.py"
+    for name in (
+        *("golden", "golden_field", "golden_small", "vignetted_field", "strong_session"),
+        *("weak_modes", "dim_session", "split_session", "panel_session", "lone_range"),
+        *("processed_session", "real_disks", "large_target", "whole_frames"),
+    )
+}
+"""Files of whole sessions and of pixels whose optimum is known. `make accuracy` runs them where the numerics changed."""
+
+ALWAYS = "golden_bench"
+"""The one session of these that every run of the tests fits."""
+
+SOAK = {f"tests/system/test_{name}.py" for name in ("soak", "studies")}
+"""Files that run long to find what only time shows, and the thesis's studies."""
+
+
+@pytest.hookimpl(tryfirst=True)  # before -m chooses
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        file = item.nodeid.partition("::")[0]
+        if file in ACCURACY and ALWAYS not in item.nodeid:
+            item.add_marker("accuracy")
+        elif file in SOAK:
+            item.add_marker("soak")
     items.sort(key=lambda item: not item.nodeid.startswith(LONGEST))
 
 
