@@ -231,9 +231,9 @@ class TargetSpec(Table):
         # a plan that is only read about needs no picture
         needed = (info.context or {}).get("files_needed", True)
         if needed and self.file is not None and not os.path.isfile(self.file):
-            there = os.path.exists(self.file)
-            why = "no regular file" if there else "there is no such file"
-            raise problem(f'file = "{self.file}": {why}')
+            if os.path.exists(self.file):
+                raise problem(f'file = "{self.file}": a folder, a pipe or a device')
+            raise problem(f'file = "{self.file}": there is no such file')
         return self
 
     def _possible_grid(self) -> None:

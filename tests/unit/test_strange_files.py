@@ -179,6 +179,14 @@ def test_a_kept_fit_is_a_file_of_a_sensible_size(tmp_path: Path, kind: str) -> N
     assert [finding.code for finding in kept.findings] == ["kept-fits-refused"]
 
 
+@pytest.mark.parametrize("kind", ["pipe", "device", "folder"])
+def test_a_targets_picture_is_named_as_what_it_is(tmp_path: Path, kind: str) -> None:
+    put(kind, tmp_path / "print.pgm")
+    picture = {"target": {"kind": "image", "order": None, "file": "print.pgm"}}
+    words = refusal(lambda: Plan.parse(plan_text(PORTRAIT, picture), tmp_path))
+    assert "a folder, a pipe or a device" in words
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_secret_is_a_file_of_a_sensible_size(tmp_path: Path, kind: str) -> None:
     put(kind, tmp_path / "secret")
