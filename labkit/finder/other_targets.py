@@ -51,11 +51,15 @@ LEAST_CELL = 0.4
 
 @dataclass(frozen=True, slots=True)
 class Other:
-    """Another target: shown, what the photograph shows, in words; remedy, what to do."""
+    """Another target: shown, what the photograph shows, in words; remedy, what to do.
+
+    in_negative: whether to look for it in the picture's negative, for carpets are found far quicker than other drawings.
+    """
 
     target: Target
     shown: str
     remedy: str
+    in_negative: bool = False
 
     @property
     def message(self) -> str:
@@ -66,11 +70,11 @@ class Other:
 def other_targets(target: Target) -> Iterator[Other]:
     """Yield the targets that may be shown in place of a target and have to be searched for."""
     if isinstance(target, CellTarget):
-        negative = target.cells.max() + target.cells.min() - target.cells
         yield Other(
-            replace(target, cells=negative, surround=None),
+            replace(target, surround=None),
             "the negative of the target",
             "exchange black and white, in what is shown or in [target]",
+            in_negative=True,
         )
         mirrored = target.cells[:, ::-1]
         turned = (np.rot90(target.cells, k) for k in range(4))
