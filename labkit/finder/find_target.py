@@ -230,8 +230,9 @@ class _Search:
         if self.picture.contrast() < LEAST_CONTRAST:
             return None
         for other in other_targets(self.target):
+            picture = self.picture.negative() if other.in_negative else self.picture
             with suppress(TargetError):
-                if _Search(self.picture, other.target).found(None):
+                if _Search(picture, other.target).found(None):
                     return other
         return None
 

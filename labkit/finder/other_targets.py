@@ -23,10 +23,10 @@ from labkit.types import Bools, Floats
 ANY_CARPET = "sierpinski:order=4,size_mm=30"
 """Looked for where another kind of target is not found."""
 
-MOST_CARPET_ORDER, MOST_ORDERS_OFF = 8, 2
+HIGHEST_ORDER, ORDERS_OFF = 8, 2
 """Largest order of a carpet; and by how much an order may be wrong."""
 
-FINE_PX, COARSE_PX = (0.35, 0.5, 0.7, 1.0), (1.4, 2.0, 2.8, 4.0, 5.6, 8.0)
+SHARP_KERNEL_PX, WIDE_KERNEL_PX = (0.35, 0.5, 0.7, 1.0), (1.4, 2.0, 2.8, 4.0, 5.6, 8.0)
 """Standard deviations of the Gaussians of a kernel, samples: from sharp to far out of focus."""
 
 LIGHT_DEGREE = 2
@@ -41,7 +41,7 @@ DRAWN_FINER = 2.5
 INNER = 0.97
 """Part of a target's side that is compared: anything may be beside it."""
 
-MOST_LEFT = 0.5
+CLEARLY_LESS = 0.5
 """Share of what the stated target leaves unexplained, below which another target is the one that is shown. In 57 photographs
 of golden sessions and 130 drawn ones, in focus and far out of it, other orders left 0.98 of it or more."""
 
@@ -51,11 +51,15 @@ LEAST_CELL = 0.4
 
 @dataclass(frozen=True, slots=True)
 class Other:
-    """Another target: shown, what the photograph shows, in words; remedy, what to do."""
+    """Another target: shown, what the photograph shows, in words; remedy, what to do.
+
+    in_negative: whether to look for it in the picture's negative, for carpets are found far quicker than other drawings.
+    """
 
     target: Target
     shown: str
     remedy: str
+    in_negative: bool = False
 
     @property
     def message(self) -> str:
@@ -66,11 +70,11 @@ class Other:
 def other_targets(target: Target) -> Iterator[Other]:
     """Yield the targets that may be shown in place of a target and have to be searched for."""
     if isinstance(target, CellTarget):
-        negative = target.cells.max() + target.cells.min() - target.cells
         yield Other(
-            replace(target, cells=negative, surround=None),
+            replace(target, surround=None),
             "the negative of the target",
             "exchange black and white, in what is shown or in [target]",
+            in_negative=True,
         )
         mirrored = target.cells[:, ::-1]
         turned = (np.rot90(target.cells, k) for k in range(4))
@@ -108,9 +112,9 @@ def other_orders(target: Target, most_cells: float) -> Iterator[Other]:
     if not isinstance(target, CellTarget) or stated is None:
         return
     size_mm = target.size_mm[0]
-    off = range(1, MOST_ORDERS_OFF + 1)
+    off = range(1, ORDERS_OFF + 1)
     for order in chain.from_iterable((stated + k, stated - k) for k in off):
-        if 1 <= order <= MOST_CARPET_ORDER and 3**order <= most_cells:
+        if 1 <= order <= HIGHEST_ORDER and 3**order <= most_cells:
             carpet = open_target(f"sierpinski:order={order},size_mm={size_mm!r}")
             shown = f"order {order}, [target] order = {stated}"
             yield Other(carpet, shown, f"write order = {order}")
@@ -152,13 +156,13 @@ def shown_in_place(picture: Picture, target: Target, corners: Floats) -> Other |
     if not others:
         return None
     left = [window.unexplained(other.target) for other in others]
-    if min(left) >= MOST_LEFT * window.unexplained(target):
+    if min(left) >= CLEARLY_LESS * window.unexplained(target):
         return None
     # finer squares than lens and pixels resolve make no difference: of orders that explain alike, the nearest
     return next(
         other
         for other, one in zip(others, left, strict=True)
-        if one <= min(left) / MOST_LEFT
+        if one <= min(left) / CLEARLY_LESS
     )
 
 
@@ -199,7 +203,7 @@ class _Window:
             places = np.s_[row :: self.period, col :: self.period]
             where = self.inside[places]
             seen = self.image[places][where].astype(np.float64)
-            one = drawn[len(FINE_PX) - 1][places][where]
+            one = drawn[len(SHARP_KERNEL_PX) - 1][places][where]
             columns = [of[places][where] for of in (*light, *drawn)]
             columns += [of[places][where] * one for of in light[1:]]
             design = np.stack(columns, axis=1).astype(np.float64)
@@ -216,9 +220,9 @@ class _Window:
         size = self.image.shape[::-1]
         fine = [
             single(cv2.warpPerspective(_blurred(sharp, DRAWN_FINER * std), by, size))
-            for std in FINE_PX
+            for std in SHARP_KERNEL_PX
         ]
-        rest = [np.sqrt(std**2 - FINE_PX[-1] ** 2) for std in COARSE_PX]
+        rest = [np.sqrt(std**2 - SHARP_KERNEL_PX[-1] ** 2) for std in WIDE_KERNEL_PX]
         return [*fine, *(_blurred(fine[-1], std) for std in rest)]
 
 

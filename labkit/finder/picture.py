@@ -7,6 +7,7 @@ no pattern of the mosaic. Only a part of a few hundred pixels is looked at in th
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from typing import Any
 
 import cv2
@@ -75,6 +76,13 @@ class Picture:
             "any scale",
         )
         return cls(counts)
+
+    def negative(self) -> Picture:
+        """Return the picture with black and white exchanged."""
+        other = copy(self)
+        other._counts = self._counts.max() - self._counts
+        other._halves = []
+        return other
 
     def scaled(self, scale: float) -> Singles:
         """Return the whole picture with `scale` samples along a pixel; its corners stay corners."""

@@ -36,5 +36,5 @@ def test_a_mistake_is_named_before_any_fit(name: str, words: str, tmp_path: Path
     began = processor_s()
     with pytest.raises(LabkitError, match=words):
         labkit.fit(write_session(GOLDEN, MISTAKES[name], tmp_path), workers=1)
-    # 2 to 6 s of a processor were measured; fits took 155 and 936 s
-    assert processor_s() - began < 12
+    # 1 to 2 s of a processor were measured; fits took 155 (wavelengths) and more than 300 s (order)
+    assert processor_s() - began < 4
