@@ -101,9 +101,7 @@ class Cluster:
 
     def refuse_other_versions(self) -> None:
         """Raise WorkersError if a worker differs in a version: one of another labkit may not even read its tasks, and end."""
-        answers: dict[str, Any] = self.client.run(  # type: ignore[no-untyped-call]
-            eval, VERSIONS, on_error="return"
-        )
+        answers: dict[str, Any] = self.client.run(eval, VERSIONS, on_error="return")
         for worker, held in answers.items():
             others = (
                 other_versions(held, versions())
