@@ -35,7 +35,7 @@ WRITING = {
 """Rights on files to give up, by the version of Landlock that knows them first; reading is bits 2 and 3."""
 
 FIRST_WITH_NETWORK, TCP = 4, 0b11
-FIRST_WITH_SCOPES, OUTSIDE = 6, 0b11
+FIRST_WITH_SCOPES, OTHER_PROCESSES = 6, 0b11
 """Abstract sockets of other processes, and signals to them."""
 
 
@@ -61,7 +61,7 @@ def _restrict(library: ctypes.CDLL) -> None:
     if version >= FIRST_WITH_NETWORK:
         rules.append(TCP)
     if version >= FIRST_WITH_SCOPES:
-        rules.append(OUTSIDE)
+        rules.append(OTHER_PROCESSES)
     given_up = struct.pack(f"={len(rules)}Q", *rules)
     ruleset = library.syscall(CREATE_RULESET, given_up, ctypes.c_size_t(len(given_up)), 0)
     if ruleset < 0:

@@ -18,7 +18,7 @@ from typing import Any, BinaryIO
 from labkit.errors import InputError, SessionError
 from labkit.reading import MOST_NOTE_BYTES, opened_photograph, read_private
 
-UNFINISHED = re.compile(r"\..+\.([1-9]\d{0,9})\.part")
+PART_NAME = re.compile(r"\..+\.([1-9]\d{0,9})\.part")
 """Names of files that are being written, with the number of the process that writes."""
 
 MOST_LINKS = 10
@@ -79,7 +79,7 @@ def replacing(path: Path, mode: int = 0o666) -> Iterator[BinaryIO]:
 def remove_unfinished(folder: Path) -> None:
     """Remove what killed processes left of files that they wrote into a folder or the folders in it, by `replacing`."""
     for path in folder.rglob(".*.part"):
-        found = UNFINISHED.fullmatch(path.name)
+        found = PART_NAME.fullmatch(path.name)
         if found and not _lives(int(found[1])):
             with suppress(OSError):
                 if stat.S_ISREG(path.lstat().st_mode):

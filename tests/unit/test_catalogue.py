@@ -422,3 +422,19 @@ def test_numbers_that_break_arithmetic_are_a_sessions_own_problem(
 def test_a_session_is_compared_with_itself(folder: Path) -> None:
     (pair,) = compare_sessions(folder / "night-1", folder / "night-1")
     assert pair.chi2 == 0
+
+
+def test_a_folder_whose_name_is_not_utf_8_is_compared_verified_and_reported(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    odd = a_session(tmp_path, os.fsdecode(b"night-\xff\x1b"))
+    other = a_session(tmp_path, "night-2")
+    maps = ["--out", str(tmp_path / "maps")]
+    for command in (["compare", str(odd), str(other), *maps], ["verify", str(odd)]):
+        assert run(command) == 0
+        printed = capsys.readouterr()
+        assert r"night-\udcff\x1b" in printed.out
+        assert all(line.isprintable() for line in (printed.out + printed.err).splitlines())
+    assert run(["--json", "report", str(odd)]) == 0
+    report = Path(json.loads(capsys.readouterr().out)["report"])
+    assert report.is_file()
