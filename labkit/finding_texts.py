@@ -185,7 +185,8 @@ TEXTS = {
     "psf-of-another-camera": "PSF of another camera, by force: {difference}",
     "edge-methods-disagree": (
         "box {at}, channel {channel}: the photograph's response is not the fit's, by {pull:.1f} standard errors, and the fit's "
-        "was corrected: see whether the box holds one edge between even sides, and whether a program changed the photograph"
+        "was corrected: see whether the box holds one edge between even sides, and whether the camera moved or a program "
+        "changed the photograph"
     ),
     "edge-blurred-otherwise": (
         "box {at}, channel {channel}: no lens makes its blur: {cause}; the response includes it"

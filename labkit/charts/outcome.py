@@ -134,8 +134,10 @@ class ChartPlace:
             return response
         every = [response if of is None else of.corrected(response) for of in own]
         values = np.array([of.value for of in every])
-        std = np.hypot(np.mean([of.std for of in every], axis=0), values.std(axis=0))
-        return with_errors(response.frequency_per_mm, values.mean(axis=0), std)
+        own_std = np.mean([of.std for of in every], axis=0)
+        std = np.hypot(own_std, values.std(axis=0))
+        value = values.mean(axis=0)
+        return with_errors(response.frequency_per_mm, value, std)
 
     def known(self, kind: str) -> bool:
         """Return whether the edges determine S or T: on a diagonal, edges at 45° do not, whatever the fit's error."""

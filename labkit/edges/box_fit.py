@@ -31,6 +31,7 @@ from labkit.estimation.climb import NoisePrior
 DIFFERENT = 6.0  # standard errors between the defoci of an edge's halves
 DIFFERENT_WAVES = 0.08  # at least, waves RMS
 DIFFERENT_SHARE = 0.1  # at least, of the defocus
+REMOVED = 0.5  # of a contradiction, at most, that another blur leaves
 MOST_LEFT = 0.06  # of the step: what residuals share with their neighbours, RMS
 SINGULAR = "it holds no edge that can be fitted: the information is singular"
 
@@ -200,7 +201,11 @@ def _with_other_blur(box: BoxFit) -> BoxFit:
         return box
     ends = fit_with_blur(box.ends, other)
     task = replace(box.task, regions=ends[0].problem.regions)
-    return replace(box, task=task, ends=ends, cause=other.cause).compared()
+    fitted = replace(box, task=task, ends=ends).compared()
+    # a cause is named only where its blur removes most of the contradiction
+    if fitted.comparison is None or fitted.comparison.pull > REMOVED * box.comparison.pull:
+        return box
+    return replace(fitted, cause=other.cause)
 
 
 def _refuse_contradiction(fit: EdgeFit) -> None:

@@ -63,7 +63,8 @@ def name_motion(boxes: Sequence[BoxFit]) -> list[BoxFit]:
             and abs(np.sin(angle(other) - angle(of))) > OTHER_DIRECTION
         ]
         clean = [other for other in others if not other.cause and not other.contradicted]
-        blurred = of.cause and of.cause != Sharpening.words
+        odd = of.contradicted or bool(of.cause)
+        blurred = odd and of.cause != Sharpening.words
         named.append(replace(of, cause=Motion.words) if blurred and clean else of)
     return named
 

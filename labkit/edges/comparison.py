@@ -61,8 +61,10 @@ class Comparison:
         unknown = np.where(
             every > at[-1], abs(self.difference[-1]), LOST_SHARE * abs(difference)
         )
-        std = np.linalg.norm([response.std, noise, unknown], axis=0)
-        return with_errors(every, response.value + difference, std)
+        errors = [response.std, noise, unknown]
+        std = np.linalg.norm(errors, axis=0)
+        value = response.value + difference
+        return with_errors(every, value, std)
 
 
 def compare(

@@ -293,7 +293,8 @@ def _response(
     loss = value * (1 - np.sinc(cycles))
     cut = value * (1 - even) * abs(1 - value[1])
     noise = np.sqrt(variance @ slopes**2)
-    std = np.linalg.norm([noise, systematic, loss, cut], axis=0)
+    errors = [noise, systematic, loss, cut]
+    std = np.linalg.norm(errors, axis=0)
     correction = np.minimum(1 / np.maximum(np.sinc(2 * cycles), TINY), MOST_CORRECTION)
     curve = np.stack([value, std, noise]) * correction
     return cycles * OVERSAMPLING, *curve

@@ -105,7 +105,8 @@ class RoughEdge:
             if out:
                 within = np.linalg.inv(covariance[np.ix_(out, out)])
                 fall = float(numbers[out] @ within @ numbers[out]) / float(np.mean(left**2))
-            costs[order, even] = fall - len(out) * np.log(left.size)
+            saved = len(out) * np.log(left.size)
+            costs[order, even] = fall - saved
         order, even = min(costs, key=lambda of: costs[of])
         return _settled(replace(self, region=replace(self.region, order=order, even=even)))
 

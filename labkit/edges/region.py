@@ -186,7 +186,9 @@ class Region:
         place = np.asarray(edge.distance_px + legendre.legval(t, departure), np.float64)
         across = (off - place) / longer
         u = off / self.half_px
-        light = 1 + edge.across * u + edge.along * t + edge.twist * u * t
+        light = 1 + edge.across * u
+        light += edge.along * t
+        light += edge.twist * u * t
         return Placed(across, along, off, lean, longer, light)
 
     def part(self, chosen: Bools) -> Region:

@@ -156,7 +156,7 @@ def test_pixels_of_a_box_are_those_of_the_whole_frame() -> None:
     photograph = Photograph(counts, black, 15000.0, ("RG", "GB"))
     for box in ((0, 0, 60, 80), (7, 12, 31, 45), (10, 11, 30, 80)):
         place = Place(box)
-        light, usable, _ = ChannelFrame.of(photograph, "B").read(place)
+        light, usable, *_ = ChannelFrame.of(photograph, "B").read(place)
         assert np.array_equal(light, photograph.light[place.slices])
         expected = photograph.channel_mask("B") & ~photograph.saturated
         assert np.array_equal(usable, expected[place.slices])
