@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labkit.charts.chart_edges import Cell, ChartEdges, chart_edges, grid, is_aligned
+from labkit.charts.chart_edges import ChartEdges, chart_edges, grid, is_aligned
 from labkit.charts.focal_surface import (
     FOCUS_KINDS,
     FocalSurface,
@@ -20,6 +20,7 @@ from labkit.charts.focal_surface import (
     place_focus,
 )
 from labkit.charts.outcome import ChartEdge, ChartOutcome, ChartPlace
+from labkit.charts.patterns import Cell
 from labkit.charts.place_fit import PlaceFit, PlaceTask, fit_place
 from labkit.edges.box_fit import BoxTask
 from labkit.edges.boxes import ChannelFrame, Place, read_frames
@@ -178,7 +179,12 @@ def _tasks(
                     boxes.setdefault(cell, []).append((k, task))
     return [
         PlaceTask(
-            cell, camera, tuple(task for _, task in every), tuple(k for k, _ in every), law
+            cell,
+            camera,
+            tuple(task for _, task in every),
+            tuple(k for k, _ in every),
+            photographs[0].pixels(camera.channel).period,
+            law,
         )
         for cell, every in sorted(boxes.items())
     ]

@@ -96,7 +96,7 @@ def test_edges_are_s_and_t_by_their_direction_and_neither_on_the_diagonals(
     tmp_path: Path,
 ) -> None:
     even: Waves = lambda y, x: np.array([0.3, 0.0, 0.0, 0.02, 0.03, 0.05])  # noqa: E731
-    image = write_scene(tmp_path / "a.tif", [chart((3, 5), even, N, checkerboard)])
+    image = write_scene(tmp_path / "a.tif", [chart((4, 5), even, N, checkerboard)])
     outcome = measure_chart(
         image, plan(tmp_path), columns=5, each=1, ranges_mm=[FOCUS_MM], workers=1
     )

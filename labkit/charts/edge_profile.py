@@ -1,0 +1,206 @@
+"""An edge of a chart as a profile across it: a line that may bow, light that may slope, and means in narrow bins.
+
+The line and the light are fitted with a blurred step. Means of counts by the distance from the line then hold all that the
+edge shows of the lens, in a tenth of the numbers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import legendre
+from scipy.special import ndtr
+
+from labkit.edges.found_edges import FoundEdge
+from labkit.edges.region import Region, turned
+from labkit.errors import DataError
+from labkit.types import Floats
+
+BINS_PER_SAMPLE = 8
+MOST_BOW = 5  # degree of the polynomial of the line
+SURE_BOW = 5.0  # standard errors of a term of the polynomial, from which the line has it
+FIRST_WIDTH = 1.5  # samples, of the blur
+STEPS, LAST_STEPS = 8, 3  # of Gauss and Newton
+MOST_STEP = (1.0, 0.5)  # samples of the line, and of the width's logarithm
+CLEAR_STEP = 15.0  # standard errors
+MOST_ROUGH = 0.5  # of the step: noise and structure of single pixels
+TINY_SQUARE = 1e-30
+RIDGE = 1e-12
+
+
+@dataclass(frozen=True)
+class EdgeProfile:
+    """Mean counts across an edge.
+
+    Attributes
+    ----------
+    middle_px : (row, column) of the line in the middle of its length
+    azimuth : of its normal towards the brighter side, radians from x (right) towards y (down)
+    length_px : of the line
+    bow_px : (k,) Legendre coefficients of the line, from the second degree on
+    width_px : standard deviation of the blur as a Gaussian's
+    distance_px, counts, number : (bins,) means across the edge, of the light in the middle, and pixels in each
+    near, far : counts on either side, about
+    scatter : (bins,) sum of squares of the pixels about each bin's mean, counts²
+    light_per_px : relative slope of the light across the edge, about
+    """
+
+    middle_px: tuple[float, float]
+    azimuth: float
+    length_px: float
+    bow_px: Floats
+    width_px: float
+    distance_px: Floats
+    counts: Floats
+    number: Floats
+    near: float
+    far: float
+    scatter: Floats
+    light_per_px: float
+
+
+def edge_profile(region: Region, found: FoundEdge, sample_px: float) -> EdgeProfile:
+    """Return the profile across the edge in a region.
+
+    Parameters
+    ----------
+    region : pixels of one colour around the edge
+    found : where the edge is, about
+    sample_px : distance of neighbouring pixels of the colour
+
+    Raises
+    ------
+    DataError : the region holds no clear step
+    """
+    row, column = found.middle
+    across, along = turned(found.angle, region.columns - column, region.rows - row)
+    half = float(np.abs(along).max())
+    step = _Step(region.counts, across, legendre.legvander(along / half, MOST_BOW).T)
+    sides = (np.median(region.counts[s * across > sample_px]) for s in (-1, 1))
+    numbers = np.array([*sides, 0, 0, np.log(FIRST_WIDTH * sample_px), 0, 0], float)
+    most = np.array([MOST_STEP[0] * sample_px, MOST_STEP[1]])
+    numbers = step.climbed(numbers, most, STEPS)
+    numbers = step.climbed(step.bowed(numbers), most, LAST_STEPS)
+    left = region.counts - step.at(numbers)[0]
+    _refuse_unclear(numbers, left)
+    line = numbers[LINE:]
+    distance = across - line @ step.basis[: len(line)]
+    flat = region.counts / (1 + numbers[ALONG] * step.basis[1])
+    means, number, scatter = _binned(distance, flat, left, sample_px / BINS_PER_SAMPLE)
+    angle = found.angle - float(np.arctan(line[1] / half))
+    shift = float(legendre.legval(0.0, line))
+    middle = np.array(found.middle) + shift * np.array([np.sin(angle), np.cos(angle)])
+    near, far = numbers[:2].tolist()
+    return EdgeProfile(
+        (float(middle[0]), float(middle[1])),
+        angle,
+        2 * half,
+        line[2:],
+        float(np.exp(numbers[WIDTH])),
+        *means,
+        number,
+        near,
+        far,
+        scatter,
+        float(numbers[ACROSS]),
+    )
+
+
+NEAR, FAR, ALONG, ACROSS, WIDTH, LINE = range(6)
+"""Places of the numbers of a blurred step: its sides, relative slopes of the light along and across it, the logarithm of its
+width, and the Legendre coefficients of its line."""
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A step blurred by a Gaussian, in pixels.
+
+    Attributes
+    ----------
+    counts, across : (n,) and distances along the normal, px
+    basis : (degrees, n) Legendre polynomials of the place along the line
+    """
+
+    counts: Floats
+    across: Floats
+    basis: Floats
+
+    def at(self, numbers: Floats) -> tuple[Floats, Floats]:
+        """Return mean counts (n,) and their slopes (numbers, n)."""
+        near, far, along, sloped, log_width = numbers[:LINE]
+        width = np.exp(log_width)
+        basis = self.basis[: len(numbers) - LINE]
+        distance = self.across - numbers[LINE:] @ basis
+        scaled = distance / width
+        step = ndtr(scaled)
+        line = np.exp(-0.5 * scaled**2) / (width * np.sqrt(2 * np.pi))
+        dark = near + (far - near) * step
+        light = (1 + along * self.basis[1]) * (1 + sloped * self.across)
+        by_line = -(far - near) * line * light
+        slopes = [
+            (1 - step) * light,
+            step * light,
+            dark * self.basis[1] * (1 + sloped * self.across),
+            dark * self.across * (1 + along * self.basis[1]),
+            by_line * distance,
+            *by_line * basis,
+        ]
+        return dark * light, np.array(slopes)
+
+    def climbed(self, numbers: Floats, most: Floats, steps: int) -> Floats:
+        """Return numbers after steps of least squares. most : largest steps of the line and of the width."""
+        for _ in range(steps):
+            mean, slopes = self.at(numbers)
+            change = _solved(slopes @ slopes.T, slopes @ (self.counts - mean))
+            change[LINE:] = np.clip(change[LINE:], -most[0], most[0])
+            change[WIDTH] = np.clip(change[WIDTH], -most[1], most[1])
+            numbers = numbers + change
+        return numbers
+
+    def bowed(self, numbers: Floats) -> Floats:
+        """Return numbers with as many degrees of the line as the counts are sure to show."""
+        whole = np.append(numbers, np.zeros(len(self.basis) - (len(numbers) - LINE)))
+        mean, slopes = self.at(whole)
+        left = self.counts - mean
+        normal = slopes @ slopes.T
+        change = _solved(normal, slopes @ left)
+        std = np.std(left) * np.sqrt(np.diag(_solved(normal, np.eye(len(whole)))))
+        sure = np.abs(change) > SURE_BOW * std
+        sure[: LINE + 2] = True
+        return whole[: np.flatnonzero(sure)[-1] + 1]
+
+
+def _solved(normal: Floats, right: Floats) -> Floats:
+    """Return the solution of normal equations of numbers of any units."""
+    scale = 1 / np.sqrt(np.maximum(np.diag(normal), TINY_SQUARE))
+    scaled = normal * np.outer(scale, scale) + RIDGE * np.eye(len(normal))
+    turned_right = (right.T * scale).T
+    return np.asarray((np.linalg.solve(scaled, turned_right).T * scale).T)
+
+
+def _binned(
+    distance: Floats, counts: Floats, left: Floats, width: float
+) -> tuple[tuple[Floats, Floats], Floats, Floats]:
+    """Return means of distance and counts in bins, the number of pixels in each, and the scatter of what is left."""
+    bins = np.floor((distance - distance.min()) / width).astype(np.intp)
+    number = np.bincount(bins).astype(float)
+    used = number > 0
+    sums = [np.bincount(bins, of)[used] for of in (distance, counts, left, left**2)]
+    number = number[used]
+    return (sums[0] / number, sums[1] / number), number, sums[3] - sums[2] ** 2 / number
+
+
+def _refuse_unclear(numbers: Floats, left: Floats) -> None:
+    """Raise DataError where there is no clear step."""
+    rise = abs(numbers[FAR] - numbers[NEAR])
+    error = 2 * float(np.std(left)) / np.sqrt(left.size)
+    if not rise > CLEAR_STEP * error:
+        raise DataError(
+            f"it holds no edge: the step is {rise / error:.1f} standard errors, {CLEAR_STEP:g} are needed"
+        )
+    rough = float(np.std(left)) / rise
+    if rough > MOST_ROUGH:
+        raise DataError(
+            f"it holds no straight edge between two even sides: what is left varies by {rough:.0%} of the step"
+        )
