@@ -21,7 +21,7 @@ BINS_PER_SAMPLE = 8
 MOST_BOW = 5  # degree of the polynomial of the line
 SURE_BOW = 5.0  # standard errors of a term of the polynomial, from which the line has it
 FIRST_WIDTH = 1.5  # samples, of the blur
-STEPS, LAST_STEPS = 8, 3  # of Gauss and Newton
+STEPS, SETTLED_STEP = 10, 2e-3  # of Gauss and Newton; samples
 MOST_STEP = (1.0, 0.5)  # samples of the line, and of the width's logarithm
 CLEAR_STEP = 15.0  # standard errors
 MOST_ROUGH = 0.5  # of the step: noise and structure of single pixels
@@ -80,8 +80,10 @@ def edge_profile(region: Region, found: FoundEdge, sample_px: float) -> EdgeProf
     sides = (np.median(region.counts[s * across > sample_px]) for s in (-1, 1))
     numbers = np.array([*sides, 0, 0, np.log(FIRST_WIDTH * sample_px), 0, 0], float)
     most = np.array([MOST_STEP[0] * sample_px, MOST_STEP[1]])
-    numbers = step.climbed(numbers, most, STEPS)
-    numbers = step.climbed(step.bowed(numbers), most, LAST_STEPS)
+    numbers = step.climbed(numbers, most)
+    bowed = step.bowed(numbers)
+    if len(bowed) > len(numbers):
+        numbers = step.climbed(bowed, most)
     left = region.counts - step.at(numbers)[0]
     _refuse_unclear(numbers, left)
     line = numbers[LINE:]
@@ -148,11 +150,13 @@ class _Step:
         ]
         return dark * light, np.array(slopes)
 
-    def climbed(self, numbers: Floats, most: Floats, steps: int) -> Floats:
+    def climbed(self, numbers: Floats, most: Floats) -> Floats:
         """Return numbers after steps of least squares. most : largest steps of the line and of the width."""
-        for _ in range(steps):
+        for _ in range(STEPS):
             mean, slopes = self.at(numbers)
             change = _solved(slopes @ slopes.T, slopes @ (self.counts - mean))
+            if np.abs(change[WIDTH:]).max() < SETTLED_STEP * most[0]:
+                break
             change[LINE:] = np.clip(change[LINE:], -most[0], most[0])
             change[WIDTH] = np.clip(change[WIDTH], -most[1], most[1])
             numbers = numbers + change

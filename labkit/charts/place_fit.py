@@ -37,8 +37,9 @@ MODEL_WAVES = 0.05  # RMS that an edge's defocus by its width may be wrong by, i
 MODEL_SHARE = 0.15  # the same, relative
 MOST_PATTERNS = 3
 UNLIKELY = 50.0  # chi-squared above the best start's
+EXPLAINED = 1.3  # of chi-squared for each degree of freedom, after the first steps
 
-ALIKE_RAD = 0.03  # between edges whose spreads are read from one, turned to first order
+ALIKE_RAD = 0.02  # between edges whose spreads are read from one, turned to first order
 NUISANCES = 4  # numbers of an edge beside the wavefront: its shift, its two sides, and the light's slope across
 ROUGH_STEPS, MOST_FIT_STEPS = 3, 12
 SETTLED = 0.05  # standard errors, of the last step
@@ -245,16 +246,16 @@ class _Edges:
     @cached_property
     def groups(self) -> list[tuple[int, SpreadTable, list[int]]]:
         """Edges of one photograph that are nearly parallel, either side bright: the photograph, their table, and numbers."""
-        reach_um = self.optics.pitch_um * (
-            max(float(np.abs(of.distance_px).max()) for of in self.profiles) + MOST_SHIFT_PX
-        )
+        reach_px = max(float(np.abs(of.distance_px).max()) for of in self.profiles)
+        reach_um = self.optics.pitch_um * np.ceil((reach_px + MOST_SHIFT_PX) / 8) * 8
         tables: list[SpreadTable] = []
         groups: dict[tuple[int, int], list[int]] = {}
         for j, (of, depth) in enumerate(zip(self.profiles, self.depths, strict=True)):
             apart = [abs(np.sin(of.azimuth - table.azimuth)) for table in tables]
             if min(apart, default=1.0) > ALIKE_RAD:
                 apart.append(0.0)
-                tables.append(SpreadTable(self.optics, of.azimuth, reach_um))
+                azimuth = float(np.round(of.azimuth / ALIKE_RAD)) * ALIKE_RAD
+                tables.append(SpreadTable(self.optics, azimuth, reach_um))
             groups.setdefault((depth, int(np.argmin(apart))), []).append(j)
         return [(depth, tables[k], members) for (depth, k), members in groups.items()]
 
@@ -389,9 +390,13 @@ class _End:
     @property
     def covariance(self) -> Floats:
         """Of all numbers, enlarged where bins scatter about the model by more than noise."""
+        return np.asarray(np.linalg.inv(self.normal) * max(self.scatter, 1.0))
+
+    @property
+    def scatter(self) -> float:
+        """Chi-squared of the bins over their degrees of freedom."""
         bins = sum(of.counts.size for of in self.edges.profiles)
-        scatter = float(self.chi2.sum()) / max(bins - len(self.numbers), 1)
-        return np.asarray(np.linalg.inv(self.normal) * max(scatter, 1.0))
+        return float(self.chi2.sum()) / max(bins - len(self.numbers), 1)
 
     @property
     def chi2_per_pixel(self) -> list[float]:
@@ -434,6 +439,9 @@ def _likeliest(edges: _Edges, law: Floats) -> _End:
             if mode in noll:
                 modes[noll.index(mode) - 1] = waves
         ends.append(edges.climbed(edges.scored(edges.start(defoci, modes)), ROUGH_STEPS))
+        # several ranges leave no second pattern that explains all widths
+        if law.any() and ends[-1].scatter < EXPLAINED:
+            break
     return edges.climbed(min(ends, key=lambda end: end.objective), MOST_FIT_STEPS)
 
 

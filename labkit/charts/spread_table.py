@@ -6,7 +6,8 @@ series: the matrix to distances on a fine grid depends on the direction, and not
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import scipy.fft
@@ -25,11 +26,14 @@ from labkit.optics.mtf import steepness, turning_transfer_function
 from labkit.optics.wavefront import FittedWavefront
 from labkit.types import Complexes, Floats
 
+MOST_MATRICES = (
+    64  # that a process keeps, of 0.3 MB each: places of a chart share directions
+)
 NODES_AT_ONCE = 16  # numbers of nodes are multiples: a matrix serves many wavefronts
 FINENESS = 10.0  # distances of the grid to a period of the highest frequency
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class SpreadTable:
     """Edges of a direction.
 
@@ -43,7 +47,6 @@ class SpreadTable:
     optics: Optics
     azimuth: float
     reach_um: float
-    _matrices: dict[int, list[tuple[Complexes, Complexes]]] = field(default_factory=dict)
 
     @property
     def _airy_um(self) -> float:
@@ -96,14 +99,9 @@ class SpreadTable:
         steepest = max(map(steepness, wavefronts))
         count = SLICE_NODES + int(NODES_PER_STEEPNESS * steepest)
         count = -(-count // NODES_AT_ONCE) * NODES_AT_ONCE
-        if count not in self._matrices:
-            self._matrices[count] = [
-                *map(self._matrix, [count] * len(wavefronts), wavefronts)
-            ]
         left = ((1 + chebyshev.chebpts1(count)[::-1]) / 2) ** 2
-        for (share, _), wavefront, (to_step, to_line) in zip(
-            optics.light.shares, wavefronts, self._matrices[count], strict=True
-        ):
+        for (share, _), wavefront in zip(optics.light.shares, wavefronts, strict=True):
+            to_step, to_line = _matrices(self, count, wavefront.cutoff_per_mm)
             value, slopes = turning_transfer_function(
                 wavefront,
                 (1 - left) * wavefront.cutoff_per_mm,
@@ -129,13 +127,11 @@ class SpreadTable:
             rim=optics.rim,
         )
 
-    def _matrix(
-        self, count: int, wavefront: FittedWavefront
-    ) -> tuple[Complexes, Complexes]:
+    def matrices(self, count: int, cutoff_per_mm: float) -> tuple[Complexes, Complexes]:
         """Return matrices (grid, nodes) from the lens's transfer function to the spread and to its slope."""
         period_um = self._period_um
         frequency = np.arange(1, int(period_um / self._airy_um) + 1, 2) / period_um
-        left = 1 - frequency * 1e3 / wavefront.cutoff_per_mm
+        left = 1 - frequency * 1e3 / cutoff_per_mm
         powers = chebyshev.chebvander(2 * np.sqrt(left.clip(0)) - 1, count - 1)
         transform = scipy.fft.dct(np.eye(count), axis=0) / count
         transform[0] /= 2
@@ -146,3 +142,11 @@ class SpreadTable:
         to_line = 4 / period_um * waves
         to_step = waves / (0.5j * np.pi * period_um * frequency)
         return to_step @ series, to_line @ series
+
+
+@lru_cache(maxsize=MOST_MATRICES)
+def _matrices(
+    table: SpreadTable, count: int, cutoff_per_mm: float
+) -> tuple[Complexes, Complexes]:
+    """Return a table's matrices, kept for the next place."""
+    return table.matrices(count, cutoff_per_mm)

@@ -154,7 +154,7 @@ def through_focus(tmp_path_factory: pytest.TempPathFactory) -> ChartOutcome:
         )
         for k, mm in enumerate(RANGES_MM)
     ]
-    return measure_chart(images, plan(folder), columns=5, ranges_mm=RANGES_MM, each=1)
+    return measure_chart(images, plan(folder), columns=5, ranges_mm=RANGES_MM)
 
 
 @pytest.mark.slow
@@ -172,10 +172,10 @@ def test_ranges_give_the_focus_of_each_place_with_its_sign(
         truth = medial_um(y, x) + half * np.array([-1, 1])
         apart += pulls([of.of("S"), of.of("T")], truth)
     off = pulls(medial, np.array([medial_um(*of.height_mm) for of in foci]))
-    assert np.std(off) < 2
-    assert abs(np.mean(off)) < 1.5
+    assert np.std(off) < 2  # 1.06 measured
+    assert abs(np.mean(off)) < 0.7  # 0.34
     assert max(map(abs, apart)) < 4
-    assert max(of.std for of in medial) < 0.7  # um, 0.34 measured
+    assert max(of.std for of in medial) < 0.58  # um, 0.29 measured
 
 
 @pytest.mark.slow
@@ -195,7 +195,7 @@ def test_the_sensors_tilt_and_the_curvatures_of_three_surfaces_are_recovered(
             assert abs(number.value - value) < 3 * number.std, (kind, name)
         assert of.chi2_per_freedom < 3
     assert set(surfaces) == {"medial", "S", "T"}
-    assert surfaces["medial"].number("tilt_rows_um_per_mm").std < 0.4  # 0.2 measured
+    assert surfaces["medial"].number("tilt_rows_um_per_mm").std < 0.3  # 0.15 measured
 
 
 @pytest.mark.slow
