@@ -180,7 +180,17 @@ TEXTS = {
         "see whether the box holds one straight edge between even sides"
     ),
     # charts
-    "chart-edges-left-out": "left out: {cut} edges cut by the frame, {clipped} clipped",
+    "chart-edges-left-out": (
+        "left out: {cut} edges cut by the frame, {clipped} clipped, {uneven} with uneven sides"
+    ),
+    "chart-squares-small": (
+        "the chart's squares are {side_px:.0f} pixels wide, and edges need {least_px:.0f}: distortion and pose are by its "
+        "points alone; photograph larger squares, or from nearer, for MTF and focus"
+    ),
+    "chart-not-flat": (
+        "photograph {number}: the chart's points depart by {rms_px:.2f} px from a plane seen by a lens with radial distortion, "
+        "as their neighbours do: is the chart bent?"
+    ),
     "chart-edges-not-fitted": "{count} edges of the chart gave no fit, most as: {why}",
     "chart-edges-along-pixels": (
         "{count} of {edges} edges run within 1 degree of rows or columns and are badly sampled: turn the chart by 5 degrees"

@@ -38,6 +38,7 @@ class ChartEdges:
     cut, clipped, uneven, spare : edges that the border cuts, that have clipped pixels or
         uneven sides, and that the cells do not need
     small : edges too short to be measured
+    side_px, least_px : of the squares, and of the smallest that can be measured
     """
 
     pattern: Pattern
@@ -48,6 +49,8 @@ class ChartEdges:
     uneven: int
     spare: int
     small: int
+    side_px: float
+    least_px: float
 
 
 def grid(shape: tuple[int, int], columns: int) -> tuple[int, int]:
@@ -105,9 +108,19 @@ def chart_edges(frame: ChannelFrame, cells: tuple[int, int], each: int) -> Chart
         by_cell.setdefault((across, down), []).append(place)
     chosen = {cell: _two_directions(of, each) for cell, of in sorted(by_cell.items())}
     spare = len(unclipped) - sum(map(len, chosen.values()))
-    points = frame.pixels.places[0] + frame.pixels.period * pattern.points
-    small = sum(not side for side in sides)
-    return ChartEdges(pattern, points, chosen, cut, clipped, uneven, spare, small)
+    step = frame.pixels.period
+    return ChartEdges(
+        pattern,
+        frame.pixels.places[0] + step * pattern.points,
+        chosen,
+        cut,
+        clipped,
+        uneven,
+        spare,
+        small=sum(not side for side in sides),
+        side_px=step * pattern.side,
+        least_px=step * (2 * CORNER + SHORTEST),
+    )
 
 
 def _pieces(start: Floats, end: Floats) -> list[tuple[Floats, Floats]]:
@@ -126,7 +139,7 @@ def _is_inside(point: Floats, shape: tuple[int, ...]) -> bool:
 
 def _clearness(piece: FoundEdge) -> float:
     """Return the order of pieces: the clearest first."""
-    return -piece.step * np.sqrt(piece.length_px)
+    return float(-piece.step * np.sqrt(piece.length_px))
 
 
 def is_aligned(angle_deg: float) -> bool:

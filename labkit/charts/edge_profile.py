@@ -76,7 +76,8 @@ def edge_profile(region: Region, found: FoundEdge, sample_px: float) -> EdgeProf
     row, column = found.middle
     across, along = turned(found.angle, region.columns - column, region.rows - row)
     half = float(np.abs(along).max())
-    step = _Step(region.counts, across, legendre.legvander(along / half, MOST_BOW).T)
+    basis = np.asarray(legendre.legvander(along / half, MOST_BOW).T, float)
+    step = _Step(region.counts, across, basis)
     sides = (np.median(region.counts[s * across > sample_px]) for s in (-1, 1))
     numbers = np.array([*sides, 0, 0, np.log(FIRST_WIDTH * sample_px), 0, 0], float)
     most = np.array([MOST_STEP[0] * sample_px, MOST_STEP[1]])

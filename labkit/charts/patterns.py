@@ -275,7 +275,7 @@ def _grids(
 ) -> Iterator[Pattern]:
     """Yield the largest grid of squares in a copy."""
     outlines = [_in_picture(of, factor) for of in _quadrilaterals(copy)]
-    smooth = cv2.blur(grey, (3, 3))
+    smooth = np.asarray(cv2.blur(grey, (3, 3)), np.float32)
     squares = np.array([of for of in _each_once(outlines) if _is_even(smooth, of)])
     if len(squares) < LEAST_SQUARES:
         return
@@ -379,7 +379,8 @@ def _lattice(squares: Floats) -> dict[Cell, int]:
 def _grown(tree: cKDTree, centres: Floats, sizes: Floats, start: int) -> dict[Cell, int]:
     """Return the lattice around a square."""
     count = min(9, len(centres))
-    near = centres[tree.query(centres[start], count)[1][1:]] - centres[start]
+    _, nearest = tree.query(centres[[start]], count)
+    near = centres[np.ravel(nearest)[1:]] - centres[start]
     right = near[0]
     turn = np.abs(near @ [-right[1], right[0]]) / np.hypot(*right) / np.hypot(*near.T)
     if not (turn > 0.8).any():

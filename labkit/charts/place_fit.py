@@ -26,7 +26,7 @@ from labkit.errors import DataError
 from labkit.estimation.climb import NoisePrior
 from labkit.imaging.optics import Optics
 from labkit.optics.zernike import noll_to_nm
-from labkit.types import Floats
+from labkit.types import Floats, Indices
 
 ASTIGMATIC = (5, 6)
 FIELD_MODE_STD = {2: 0.2, 3: 0.1}
@@ -264,7 +264,7 @@ class _Edges:
         own = [[0.0, of.near, of.far, of.light_per_px] for of in self.profiles]
         return np.concatenate([defoci, modes, np.ravel(own)])
 
-    def means(self, numbers: Floats) -> Iterator[tuple[int, Floats, Floats, Floats]]:
+    def means(self, numbers: Floats) -> Iterator[tuple[int, Floats, Floats, Indices]]:
         """Yield each edge with its mean counts (bins,), slopes (numbers, bins), and places (numbers,) of these."""
         modes = np.arange(len(self.noise), self.lens)
         pitch_um = self.optics.pitch_um
@@ -402,7 +402,7 @@ class _End:
     def chi2_per_pixel(self) -> list[float]:
         """Of each edge."""
         pixels = [of.number.sum() for of in self.edges.profiles]
-        return ((self.chi2 + self.within) / pixels).tolist()
+        return [float(of) for of in (self.chi2 + self.within) / pixels]
 
 
 def _noise(profiles: Sequence[EdgeProfile], prior: NoisePrior) -> Floats:

@@ -141,7 +141,7 @@ class SpreadTable:
         waves = np.exp(2j * np.pi * np.outer(at_um, frequency))
         to_line = 4 / period_um * waves
         to_step = waves / (0.5j * np.pi * period_um * frequency)
-        return to_step @ series, to_line @ series
+        return np.asarray(to_step @ series), np.asarray(to_line @ series, complex)
 
 
 @lru_cache(maxsize=MOST_MATRICES)
