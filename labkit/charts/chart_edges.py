@@ -53,14 +53,21 @@ class ChartEdges:
     least_px: float
 
 
-def grid(shape: tuple[int, int], columns: int) -> tuple[int, int]:
+def grid(
+    shape: tuple[int, int],
+    columns: int,
+) -> tuple[int, int]:
     """Return rows and columns of nearly square cells over a frame, both odd: the middle is a place of its own."""
     rows, wide = shape
     half = (columns * rows / wide - 1) / 2
     return max(LEAST_GRID_ROWS, 2 * round(half) + 1), columns
 
 
-def chart_edges(frame: ChannelFrame, cells: tuple[int, int], each: int) -> ChartEdges:
+def chart_edges(
+    frame: ChannelFrame,
+    cells: tuple[int, int],
+    each: int,
+) -> ChartEdges:
     """Find a chart and its edges in a channel's first plane.
 
     Parameters
@@ -123,7 +130,10 @@ def chart_edges(frame: ChannelFrame, cells: tuple[int, int], each: int) -> Chart
     )
 
 
-def _pieces(start: Floats, end: Floats) -> list[tuple[Floats, Floats]]:
+def _pieces(
+    start: Floats,
+    end: Floats,
+) -> list[tuple[Floats, Floats]]:
     """Return the ends (2,) of the pieces of a side of a square, without its corners; none for a short one."""
     length = float(np.hypot(*(end - start)))
     if length - 2 * CORNER < SHORTEST:
@@ -133,7 +143,10 @@ def _pieces(start: Floats, end: Floats) -> list[tuple[Floats, Floats]]:
     return [*pairwise(np.linspace(start + cut, end - cut, count + 1))]
 
 
-def _is_inside(point: Floats, shape: tuple[int, ...]) -> bool:
+def _is_inside(
+    point: Floats,
+    shape: tuple[int, ...],
+) -> bool:
     return bool(np.all(point >= 0) and np.all(point < np.array(shape) - 1))
 
 
@@ -147,7 +160,10 @@ def is_aligned(angle_deg: float) -> bool:
     return abs((angle_deg + 45) % 90 - 45) < ALIGNED_DEG
 
 
-def _two_directions(places: Sequence[Place], each: int) -> tuple[Place, ...]:
+def _two_directions(
+    places: Sequence[Place],
+    each: int,
+) -> tuple[Place, ...]:
     """Return the clearest edges of a cell, `each` along the clearest one and as many across."""
     angles = np.array([place.found.angle for place in places if place.found])
     along = np.abs(np.cos(angles - angles[0])) > np.sqrt(0.5)

@@ -21,7 +21,7 @@ BINS_PER_SAMPLE = 8
 MOST_BOW = 5  # degree of the polynomial of the line
 SURE_BOW = 5.0  # standard errors of a term of the polynomial, from which the line has it
 FIRST_WIDTH = 1.5  # samples, of the blur
-STEPS, SETTLED_STEP = 10, 2e-3  # of Gauss and Newton; samples
+MOST_LINE_STEPS, SETTLED_LINE = 10, 2e-3  # of Gauss and Newton; samples
 MOST_STEP = (1.0, 0.5)  # samples of the line, and of the width's logarithm
 CLEAR_STEP = 15.0  # standard errors
 MOST_ROUGH = 0.5  # of the step: noise and structure of single pixels
@@ -60,7 +60,11 @@ class EdgeProfile:
     light_per_px: float
 
 
-def edge_profile(region: Region, found: FoundEdge, sample_px: float) -> EdgeProfile:
+def edge_profile(
+    region: Region,
+    found: FoundEdge,
+    sample_px: float,
+) -> EdgeProfile:
     """Return the profile across the edge in a region.
 
     Parameters
@@ -87,9 +91,9 @@ def edge_profile(region: Region, found: FoundEdge, sample_px: float) -> EdgeProf
         numbers = step.climbed(bowed, most)
     left = region.counts - step.at(numbers)[0]
     _refuse_unclear(numbers, left)
-    line = numbers[LINE:]
+    line = numbers[BLUR_LINE:]
     distance = across - line @ step.basis[: len(line)]
-    flat = region.counts / (1 + numbers[ALONG] * step.basis[1])
+    flat = region.counts / (1 + numbers[LIGHT_ALONG] * step.basis[1])
     means, number, scatter = _binned(distance, flat, left, sample_px / BINS_PER_SAMPLE)
     angle = found.angle - float(np.arctan(line[1] / half))
     shift = float(legendre.legval(0.0, line))
@@ -100,17 +104,17 @@ def edge_profile(region: Region, found: FoundEdge, sample_px: float) -> EdgeProf
         angle,
         2 * half,
         line[2:],
-        float(np.exp(numbers[WIDTH])),
+        float(np.exp(numbers[BLUR_WIDTH])),
         *means,
         number,
         near,
         far,
         scatter,
-        float(numbers[ACROSS]),
+        float(numbers[LIGHT_ACROSS]),
     )
 
 
-NEAR, FAR, ALONG, ACROSS, WIDTH, LINE = range(6)
+NEAR_SIDE, FAR_SIDE, LIGHT_ALONG, LIGHT_ACROSS, BLUR_WIDTH, BLUR_LINE = range(6)
 """Places of the numbers of a blurred step: its sides, relative slopes of the light along and across it, the logarithm of its
 width, and the Legendre coefficients of its line."""
 
@@ -129,12 +133,15 @@ class _Step:
     across: Floats
     basis: Floats
 
-    def at(self, numbers: Floats) -> tuple[Floats, Floats]:
+    def at(
+        self,
+        numbers: Floats,
+    ) -> tuple[Floats, Floats]:
         """Return mean counts (n,) and their slopes (numbers, n)."""
-        near, far, along, sloped, log_width = numbers[:LINE]
+        near, far, along, sloped, log_width = numbers[:BLUR_LINE]
         width = np.exp(log_width)
-        basis = self.basis[: len(numbers) - LINE]
-        distance = self.across - numbers[LINE:] @ basis
+        basis = self.basis[: len(numbers) - BLUR_LINE]
+        distance = self.across - numbers[BLUR_LINE:] @ basis
         scaled = distance / width
         step = ndtr(scaled)
         line = np.exp(-0.5 * scaled**2) / (width * np.sqrt(2 * np.pi))
@@ -151,32 +158,42 @@ class _Step:
         ]
         return dark * light, np.array(slopes)
 
-    def climbed(self, numbers: Floats, most: Floats) -> Floats:
+    def climbed(
+        self,
+        numbers: Floats,
+        most: Floats,
+    ) -> Floats:
         """Return numbers after steps of least squares. most : largest steps of the line and of the width."""
-        for _ in range(STEPS):
+        for _ in range(MOST_LINE_STEPS):
             mean, slopes = self.at(numbers)
             change = _solved(slopes @ slopes.T, slopes @ (self.counts - mean))
-            if np.abs(change[WIDTH:]).max() < SETTLED_STEP * most[0]:
+            if np.abs(change[BLUR_WIDTH:]).max() < SETTLED_LINE * most[0]:
                 break
-            change[LINE:] = np.clip(change[LINE:], -most[0], most[0])
-            change[WIDTH] = np.clip(change[WIDTH], -most[1], most[1])
+            change[BLUR_LINE:] = np.clip(change[BLUR_LINE:], -most[0], most[0])
+            change[BLUR_WIDTH] = np.clip(change[BLUR_WIDTH], -most[1], most[1])
             numbers = numbers + change
         return numbers
 
-    def bowed(self, numbers: Floats) -> Floats:
+    def bowed(
+        self,
+        numbers: Floats,
+    ) -> Floats:
         """Return numbers with as many degrees of the line as the counts are sure to show."""
-        whole = np.append(numbers, np.zeros(len(self.basis) - (len(numbers) - LINE)))
+        whole = np.append(numbers, np.zeros(len(self.basis) - (len(numbers) - BLUR_LINE)))
         mean, slopes = self.at(whole)
         left = self.counts - mean
         normal = slopes @ slopes.T
         change = _solved(normal, slopes @ left)
         std = np.std(left) * np.sqrt(np.diag(_solved(normal, np.eye(len(whole)))))
         sure = np.abs(change) > SURE_BOW * std
-        sure[: LINE + 2] = True
+        sure[: BLUR_LINE + 2] = True
         return whole[: np.flatnonzero(sure)[-1] + 1]
 
 
-def _solved(normal: Floats, right: Floats) -> Floats:
+def _solved(
+    normal: Floats,
+    right: Floats,
+) -> Floats:
     """Return the solution of normal equations of numbers of any units."""
     scale = 1 / np.sqrt(np.maximum(np.diag(normal), TINY_SQUARE))
     scaled = normal * np.outer(scale, scale) + RIDGE * np.eye(len(normal))
@@ -185,7 +202,10 @@ def _solved(normal: Floats, right: Floats) -> Floats:
 
 
 def _binned(
-    distance: Floats, counts: Floats, left: Floats, width: float
+    distance: Floats,
+    counts: Floats,
+    left: Floats,
+    width: float,
 ) -> tuple[tuple[Floats, Floats], Floats, Floats]:
     """Return means of distance and counts in bins, the number of pixels in each, and the scatter of what is left."""
     bins = np.floor((distance - distance.min()) / width).astype(np.intp)
@@ -196,9 +216,12 @@ def _binned(
     return (sums[0] / number, sums[1] / number), number, sums[3] - sums[2] ** 2 / number
 
 
-def _refuse_unclear(numbers: Floats, left: Floats) -> None:
+def _refuse_unclear(
+    numbers: Floats,
+    left: Floats,
+) -> None:
     """Raise DataError where there is no clear step."""
-    rise = abs(numbers[FAR] - numbers[NEAR])
+    rise = abs(numbers[FAR_SIDE] - numbers[NEAR_SIDE])
     error = 2 * float(np.std(left)) / np.sqrt(left.size)
     if not rise > CLEAR_STEP * error:
         raise DataError(

@@ -108,7 +108,9 @@ class ChartGeometry:
 
 
 def chart_geometry(
-    lattices: Sequence[tuple[NDArray[np.intp], Floats]], frame: FieldFrame, focal_mm: float
+    lattices: Sequence[tuple[NDArray[np.intp], Floats]],
+    frame: FieldFrame,
+    focal_mm: float,
 ) -> ChartGeometry | None:
     """Return the distortion that all photographs share, and the pose of the chart in each; None for too few points.
 
@@ -121,63 +123,120 @@ def chart_geometry(
     used = [k for k, (cells, _) in enumerate(lattices) if len(cells) >= LEAST_POINTS]
     if not used:
         return None
-    chart = [
-        np.column_stack([lattices[k][0][:, ::-1], np.zeros(len(lattices[k][0]))])
-        for k in used
-    ]
+    chart = [_on_plane(lattices[k][0]) for k in used]
     seen = [lattices[k][1][:, ::-1] for k in used]
-    total = sum(map(len, seen))
+    terms = 2 if sum(map(len, seen)) >= TWO_TERMS else 1
     focal_px = focal_mm * 1e3 / frame.pixel_pitch_um
-    centre = frame.centre_px[::-1]
-    camera = np.array([[focal_px, 0, centre[0]], [0, focal_px, centre[1]], [0, 0, 1]])
-    terms = 2 if total >= TWO_TERMS else 1
-    flags = (
-        cv2.CALIB_USE_INTRINSIC_GUESS
-        | cv2.CALIB_FIX_FOCAL_LENGTH
-        | cv2.CALIB_ZERO_TANGENT_DIST
+    camera = np.diag([focal_px, focal_px, 1.0])
+    camera[:2, 2] = frame.centre_px[::-1]
+    fit = _fitted(chart, seen, frame.shape_px[::-1], camera, terms)
+    poses = tuple(
+        _pose(fit, j, k, points)
+        for j, (k, points) in enumerate(zip(used, seen, strict=True))
     )
-    flags |= cv2.CALIB_FIX_PRINCIPAL_POINT | cv2.CALIB_FIX_K3
-    flags |= 0 if terms == 2 else cv2.CALIB_FIX_K2
-    _, _, distortion, turns, shifts, *_ = cv2.calibrateCameraExtended(
+    std = np.sqrt(np.diag(fit.of_radial))
+    radial = tuple(
+        Uncertain(float(value), float(error))
+        for value, error in zip(fit.radial, std, strict=True)
+    )
+    centre = frame.centre_px[::-1]
+    away = max(float(np.hypot(*(of - centre).T).max()) for of in seen)
+    height_mm = away * frame.pixel_pitch_um * 1e-3
+    return ChartGeometry(radial, height_mm, fit.distortion(away / focal_px), poses)
+
+
+def _on_plane(cells: NDArray[np.intp]) -> Floats:
+    """Return points (m, 3) of the chart, right, down and away, in squares."""
+    return np.column_stack([cells[:, ::-1], np.zeros(len(cells))])
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Poses and distortion.
+
+    Attributes
+    ----------
+    turns : (3,) of each photograph, radians
+    radial : (terms,)
+    residuals : (m, 2) of each photograph, px
+    covariance : (numbers, numbers) of all poses, then the radial terms
+    """
+
+    turns: list[Floats]
+    radial: Floats
+    residuals: list[Floats]
+    covariance: Floats
+
+    @property
+    def of_radial(self) -> Floats:
+        """Covariance of the radial terms."""
+        terms = len(self.radial)
+        return self.covariance[-terms:, -terms:]
+
+    def distortion(
+        self,
+        radius: float,
+    ) -> Uncertain:
+        """Return the relative distortion at a radius in the picture, in focal lengths."""
+        degrees = 2 * np.arange(1, len(self.radial) + 1)
+        ideal = radius
+        for _ in range(UNDISTORTING):
+            ideal = radius / (1 + float(ideal**degrees @ self.radial))
+        powers = ideal**degrees
+        variance = powers @ self.of_radial @ powers
+        value = float(powers @ self.radial)
+        return Uncertain(value, float(np.sqrt(variance)))
+
+
+def _fitted(
+    chart: Sequence[Floats],
+    seen: Sequence[Floats],
+    size: tuple[int, ...],
+    camera: Floats,
+    terms: int,
+) -> _Fit:
+    """Fit poses and radial terms."""
+    flags = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_FOCAL_LENGTH
+    flags |= cv2.CALIB_FIX_PRINCIPAL_POINT | cv2.CALIB_ZERO_TANGENT_DIST
+    flags |= cv2.CALIB_FIX_K3
+    if terms == 1:
+        flags |= cv2.CALIB_FIX_K2
+    found = cv2.calibrateCameraExtended(
         [of.astype(np.float32) for of in chart],
         [of.astype(np.float32) for of in seen],
-        tuple(int(n) for n in frame.shape_px[::-1]),
+        size,
         camera,
         np.zeros(5),
         flags=flags,
     )
-    turns, shifts = (
-        [np.ravel(of).astype(float) for of in each] for each in (turns, shifts)
-    )
-    brown = np.ravel(distortion)[:5].astype(float)
+    brown = np.ravel(found[2])[:5].astype(float)
+    turns = [np.ravel(of).astype(float) for of in found[3]]
+    shifts = [np.ravel(of).astype(float) for of in found[4]]
     left, slopes = _residuals(chart, seen, turns, shifts, camera, brown, terms)
     freedom = max(left.size - slopes.shape[1], 1)
-    covariance = np.linalg.pinv(slopes.T @ slopes) * float(left @ left) / freedom
-    radial = brown[:terms]
-    away = max(float(np.hypot(*(of - centre).T).max()) for of in seen)
-    ideal = away / focal_px
-    for _ in range(UNDISTORTING):
-        ideal = (
-            away / focal_px / (1 + float(ideal ** (2 * np.arange(1, terms + 1)) @ radial))
-        )
-    powers = ideal ** (2 * np.arange(1, terms + 1))
-    of_radial = covariance[-terms:, -terms:]
-    poses = []
-    parts = np.split(left.reshape(-1, 2), np.cumsum([len(of) for of in seen])[:-1])
-    for j, (k, part) in enumerate(zip(used, parts, strict=True)):
-        at = slice(POSE * j, POSE * j + 3)
-        tilts = _tilts(turns[j], covariance[at, at])
-        rms = float(np.sqrt(np.mean(part**2) * 2))
-        bent = rms > LEAST_BEND_PX and _agree(seen[j], part)
-        poses.append(ChartPose(k, len(part), tilts, rms, bent))
-    return ChartGeometry(
-        tuple(
-            Uncertain(float(value), float(std))
-            for value, std in zip(radial, np.sqrt(np.diag(of_radial)), strict=True)
-        ),
-        away * frame.pixel_pitch_um * 1e-3,
-        Uncertain(powers @ radial, np.sqrt(powers @ of_radial @ powers)),
-        tuple(poses),
+    square = float(left @ left) / freedom
+    covariance = square * np.linalg.pinv(slopes.T @ slopes)
+    ends = np.cumsum([len(of) for of in seen])[:-1]
+    parts = np.split(left.reshape(-1, 2), ends)
+    return _Fit(turns, brown[:terms], parts, covariance)
+
+
+def _pose(
+    fit: _Fit,
+    j: int,
+    photograph: int,
+    points: Floats,
+) -> ChartPose:
+    """Return the pose of the fit's photograph j, whose points (m, 2) were seen."""
+    at = slice(POSE * j, POSE * j + 3)
+    left = fit.residuals[j]
+    rms = float(np.sqrt(np.mean(left**2) * 2))
+    return ChartPose(
+        photograph,
+        len(points),
+        _tilts(fit.turns[j], fit.covariance[at, at]),
+        rms,
+        rms > LEAST_BEND_PX and _agree(points, left),
     )
 
 
@@ -207,7 +266,10 @@ def _residuals(
     return np.concatenate(left), np.vstack(rows)
 
 
-def _tilts(turn: Floats, covariance: Floats) -> tuple[Uncertain, Uncertain]:
+def _tilts(
+    turn: Floats,
+    covariance: Floats,
+) -> tuple[Uncertain, Uncertain]:
     """Return how much farther away the chart's lower and right ends are, degrees, of a turn (3,) in radians."""
 
     def of(vector: Floats) -> Floats:
@@ -224,7 +286,10 @@ def _tilts(turn: Floats, covariance: Floats) -> tuple[Uncertain, Uncertain]:
     return down, right
 
 
-def _agree(points: Floats, left: Floats) -> bool:
+def _agree(
+    points: Floats,
+    left: Floats,
+) -> bool:
     """Return whether residuals (m, 2) of neighbouring points (m, 2) agree by more than chance (Moran's statistic)."""
     _, nearest = cKDTree(points).query(points, min(5, len(points)))
     near = np.reshape(nearest, (len(points), -1))

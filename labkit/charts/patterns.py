@@ -22,7 +22,7 @@ from labkit.types import Floats
 Cell = tuple[int, int]
 """Row and column in a lattice."""
 
-STEPS: tuple[Cell, ...] = ((0, 1), (0, -1), (1, 0), (-1, 0))
+NEIGHBOUR_STEPS: tuple[Cell, ...] = ((0, 1), (0, -1), (1, 0), (-1, 0))
 COPY_SAMPLES = 1.2e6  # of the largest copy that is searched
 COPIES = 3  # each half as wide as the one before
 LEAST_BOARD = 3  # corners along either side of a checkerboard
@@ -31,26 +31,29 @@ QUADRANTS = (
     0.22,
     0.32,
 )  # of a square's side: from a corner to parts of its four squares that are compared
-PART = 0.07  # of a square's side: half the width of such a part
+QUADRANT_PART = 0.07  # of a square's side: half the width of such a part
 MOST_UNLIKE = 0.35  # of the contrast: two squares of one colour at a corner
-LEAST_CONTRAST = 0.04  # of the picture's stretch
+LEAST_CHART_CONTRAST = 0.04  # of the picture's stretch
 MOST_AWAY = 0.2  # of a square's side, or of a lattice's step: a point from its place by its neighbours
 WINDOW_SHARE, MOST_WINDOW = (
     0.2,
     10,
 )  # of a square's side, and samples: half of a window that a corner is refined in
 
-LEAST_SIDE = 8  # of a square in a copy, samples
+LEAST_SQUARE_SIDE = 8  # of a square in a copy, samples
 LEVELS = np.linspace(15, 240, 24)  # grey levels whose outlines are searched
 OUTLINE = 0.04  # of an outline's length: how far it may depart from its quadrilateral
-FULL = 0.92  # of a quadrilateral's area, that its outline encloses
+ENCLOSED = 0.92  # of a quadrilateral's area, that its outline encloses
 MOST_OBLONG = 1.6  # ratio of a square's sides, as it is seen
-UNEVEN = (
+MOST_UNEVEN_SQUARE = (
     0.12  # of the contrast: standard deviation within a square, and on the ground around
 )
-INSIDE, AROUND = 0.6, 1.3  # of a square: sizes of a part of it, and of a ring around it
-LEAST_SQUARES, LEAST_ROWS = 6, 2
-ALIKE = 1.4  # ratio of the sides of neighbouring squares
+WITHIN_SQUARE, AROUND_SQUARE = (
+    0.6,
+    1.3,
+)  # of a square: sizes of a part of it, and of a ring around it
+LEAST_SQUARE_COUNT, LEAST_SQUARE_ROWS = 6, 2
+SIDES_ALIKE = 1.4  # ratio of the sides of neighbouring squares
 
 
 @dataclass(frozen=True)
@@ -95,19 +98,26 @@ def _copies(grey: NDArray[np.float32]) -> Iterator[tuple[int, NDArray[np.uint8]]
     least = max(1, int(np.ceil(np.sqrt(grey.size / COPY_SAMPLES))))
     for factor in (least * 2**k for k in range(COPIES)):
         rows, columns = (n // factor for n in grey.shape)
-        if min(rows, columns) < 4 * LEAST_SIDE:
+        if min(rows, columns) < 4 * LEAST_SQUARE_SIDE:
             return
         whole = grey[: rows * factor, : columns * factor]
         copy = cv2.resize(whole, (columns, rows), interpolation=cv2.INTER_AREA)
         yield factor, np.round(255 * copy).astype(np.uint8)
 
 
-def _in_picture(points: Floats, factor: int) -> Floats:
+def _in_picture(
+    points: Floats,
+    factor: int,
+) -> Floats:
     """Return points (..., 2) of a copy, (column, row), as (row, column) of the picture."""
     return np.asarray((points[..., ::-1] + 0.5) * factor - 0.5, float)
 
 
-def _refined(grey: NDArray[np.float32], points: Floats, side: float) -> Floats:
+def _refined(
+    grey: NDArray[np.float32],
+    points: Floats,
+    side: float,
+) -> Floats:
     """Return corners (n, 2) refined in the picture, nan where they move too far."""
     half = int(np.clip(WINDOW_SHARE * side, 2, MOST_WINDOW))
     found = np.ascontiguousarray(points[:, None, ::-1], np.float32)
@@ -123,7 +133,9 @@ def _refined(grey: NDArray[np.float32], points: Floats, side: float) -> Floats:
 
 
 def _boards(
-    grey: NDArray[np.float32], copy: NDArray[np.uint8], factor: int
+    grey: NDArray[np.float32],
+    copy: NDArray[np.uint8],
+    factor: int,
 ) -> Iterator[Pattern]:
     """Yield the checkerboard around the corners that OpenCV finds in a copy."""
     size = (LEAST_BOARD, LEAST_BOARD)
@@ -144,15 +156,22 @@ def _boards(
 Corners = dict[Cell, Floats]
 
 
-def _plus(cell: Cell, step: Cell, times: int = 1) -> Cell:
+def _plus(
+    cell: Cell,
+    step: Cell,
+    times: int = 1,
+) -> Cell:
     return cell[0] + times * step[0], cell[1] + times * step[1]
 
 
-def _next(grey: NDArray[np.float32], known: Corners) -> Corners:
+def _next(
+    grey: NDArray[np.float32],
+    known: Corners,
+) -> Corners:
     """Return the corners next to known ones, on their lines."""
     expected: dict[Cell, list[Floats]] = {}
     for cell, point in known.items():
-        for step in STEPS:
+        for step in NEIGHBOUR_STEPS:
             before = known.get(_plus(cell, step, -1))
             if before is not None and (after := _plus(cell, step)) not in known:
                 expected.setdefault(after, []).append(2 * point - before)
@@ -178,27 +197,34 @@ def _side(known: Corners) -> float:
     return float(np.median(np.hypot(*np.transpose(ends)))) if ends else 0.0
 
 
-def _alternating(grey: NDArray[np.float32], known: Corners) -> Corners:
+def _alternating(
+    grey: NDArray[np.float32],
+    known: Corners,
+) -> Corners:
     """Return the largest connected part of those corners whose four squares alternate as a checkerboard's do."""
     signed = {}
     for cell, point in known.items():
         down, right = (_axis(known, cell, step) for step in ((1, 0), (0, 1)))
         if down is None or right is None:
             continue
-        reach = PART * min(np.hypot(*down), np.hypot(*right))
+        reach = QUADRANT_PART * min(np.hypot(*down), np.hypot(*right))
         contrasts = [
             _contrast(grey, point, share * down, share * right, reach)
             for share in QUADRANTS
         ]
         sign = np.sign(contrasts[-1])
-        if min(sign * of for of in contrasts) > LEAST_CONTRAST:
+        if min(sign * of for of in contrasts) > LEAST_CHART_CONTRAST:
             signed[cell] = sign * (-1) ** (sum(cell) % 2)
     sign = np.sign(sum(signed.values()))
     return _connected({cell: known[cell] for cell, of in signed.items() if of * sign > 0})
 
 
 def _contrast(
-    grey: NDArray[np.float32], point: Floats, down: Floats, right: Floats, reach: float
+    grey: NDArray[np.float32],
+    point: Floats,
+    down: Floats,
+    right: Floats,
+    reach: float,
 ) -> float:
     """Return how much brighter two opposite squares at a corner are than the others; 0 where opposite ones are unlike."""
     about = point + np.array([-down - right, down + right, right - down, down - right])
@@ -208,7 +234,11 @@ def _contrast(
     return contrast if unlike < MOST_UNLIKE * abs(contrast) else 0.0
 
 
-def _axis(known: Corners, cell: Cell, step: Cell) -> Floats | None:
+def _axis(
+    known: Corners,
+    cell: Cell,
+    step: Cell,
+) -> Floats | None:
     """Return the way from a corner to the next one; None without a neighbour."""
     for times in (1, -1):
         if (other := known.get(_plus(cell, step, times))) is not None:
@@ -216,7 +246,11 @@ def _axis(known: Corners, cell: Cell, step: Cell) -> Floats | None:
     return None
 
 
-def _means(grey: NDArray[np.float32], points: Floats, reach: float) -> list[float]:
+def _means(
+    grey: NDArray[np.float32],
+    points: Floats,
+    reach: float,
+) -> list[float]:
     """Return mean grey about points (n, 2), as far as reach, nan outside of the picture."""
     found = []
     for point in points:
@@ -236,7 +270,7 @@ def _connected(known: Corners) -> Corners:
     while left:
         part = [left.pop()]
         for cell in part:
-            for step in STEPS:
+            for step in NEIGHBOUR_STEPS:
                 if (other := _plus(cell, step)) in left:
                     left.discard(other)
                     part.append(other)
@@ -244,7 +278,10 @@ def _connected(known: Corners) -> Corners:
     return {cell: known[cell] for cell in max(parts, key=len, default=[])}
 
 
-def _spans(known: Corners, least: int) -> bool:
+def _spans(
+    known: Corners,
+    least: int,
+) -> bool:
     """Return whether points fill so many rows and columns."""
     if len(known) < least**2:
         return False
@@ -255,7 +292,7 @@ def _board_sides(known: Corners) -> Floats:
     """Return the edges (n, 2, 2) from corner to corner, and from the outer ones to where the next would be."""
     sides = []
     for cell, point in known.items():
-        for step in STEPS:
+        for step in NEIGHBOUR_STEPS:
             after = known.get(_plus(cell, step))
             before = known.get(_plus(cell, step, -1))
             if after is not None and sum(step) > 0:
@@ -271,16 +308,18 @@ def _as_arrays(known: Corners) -> tuple[NDArray[np.intp], Floats]:
 
 
 def _grids(
-    grey: NDArray[np.float32], copy: NDArray[np.uint8], factor: int
+    grey: NDArray[np.float32],
+    copy: NDArray[np.uint8],
+    factor: int,
 ) -> Iterator[Pattern]:
     """Yield the largest grid of squares in a copy."""
     outlines = [_in_picture(of, factor) for of in _quadrilaterals(copy)]
     smooth = np.asarray(cv2.blur(grey, (3, 3)), np.float32)
     squares = np.array([of for of in _each_once(outlines) if _is_even(smooth, of)])
-    if len(squares) < LEAST_SQUARES:
+    if len(squares) < LEAST_SQUARE_COUNT:
         return
     known = _lattice(squares)
-    if len(known) < LEAST_SQUARES or not _spans_squares(known):
+    if len(known) < LEAST_SQUARE_COUNT or not _spans_squares(known):
         return
     cells = np.array([*known], np.intp)
     chosen = squares[[*known.values()]]
@@ -293,7 +332,7 @@ def _grids(
 
 
 def _spans_squares(known: dict[Cell, int]) -> bool:
-    return bool(np.all(np.ptp([*known], axis=0) + 1 >= LEAST_ROWS))
+    return bool(np.all(np.ptp([*known], axis=0) + 1 >= LEAST_SQUARE_ROWS))
 
 
 def _mean_side(squares: Floats) -> float:
@@ -308,7 +347,7 @@ def _quadrilaterals(copy: NDArray[np.uint8]) -> Iterator[Floats]:
         mask = (smooth > level).astype(np.uint8)
         outlines, _ = cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
         for outline in outlines:
-            if len(outline) < 4 * LEAST_SIDE:
+            if len(outline) < 4 * LEAST_SQUARE_SIDE:
                 continue
             corners = cv2.approxPolyDP(outline, OUTLINE * len(outline), closed=True)
             if len(corners) != 4 or not cv2.isContourConvex(corners):
@@ -317,7 +356,7 @@ def _quadrilaterals(copy: NDArray[np.uint8]) -> Iterator[Floats]:
             area = cv2.contourArea(corners)
             if sides.max() > MOST_OBLONG * sides.min() or area < 0.7 * np.mean(sides) ** 2:
                 continue
-            if FULL < cv2.contourArea(outline) / area < 1 / FULL:
+            if ENCLOSED < cv2.contourArea(outline) / area < 1 / ENCLOSED:
                 clockwise = cv2.contourArea(corners, oriented=True) > 0
                 yield corners[:: 1 if clockwise else -1, 0].astype(float)
 
@@ -340,13 +379,16 @@ def _each_once(outlines: Sequence[Floats]) -> list[Floats]:
     return chosen
 
 
-def _is_even(smooth: NDArray[np.float32], corners: Floats) -> bool:
+def _is_even(
+    smooth: NDArray[np.float32],
+    corners: Floats,
+) -> bool:
     """Return whether a square (4, 2) and the ground around it are even, but for a slope of the light."""
     along = np.linspace(-0.5, 0.5, 7)
     v, u = np.meshgrid(along, along, indexing="ij")
     around = np.maximum(np.abs(u), np.abs(v)) > 0.49
     parts = []
-    for size, used in ((INSIDE, np.ones_like(around)), (AROUND, around)):
+    for size, used in ((WITHIN_SQUARE, np.ones_like(around)), (AROUND_SQUARE, around)):
         a, b = size * v[used] + 0.5, size * u[used] + 0.5
         weight = np.stack([(1 - a) * (1 - b), (1 - a) * b, a * b, a * (1 - b)], axis=1)
         parts.append(map_coordinates(smooth, (weight @ corners).T, order=1, cval=np.nan))
@@ -358,7 +400,7 @@ def _is_even(smooth: NDArray[np.float32], corners: Floats) -> bool:
         parts[-1] = np.append(parts[-1][seen] - slope[seen] @ level, level @ [1, 0.5, 0.5])
     contrast = abs(parts[0][-1] - parts[1][-1])
     rough = max(float(np.std(of[:-1])) for of in parts)
-    return bool(contrast > LEAST_CONTRAST and rough < UNEVEN * contrast)
+    return bool(contrast > LEAST_CHART_CONTRAST and rough < MOST_UNEVEN_SQUARE * contrast)
 
 
 def _lattice(squares: Floats) -> dict[Cell, int]:
@@ -376,7 +418,12 @@ def _lattice(squares: Floats) -> dict[Cell, int]:
     return best
 
 
-def _grown(tree: cKDTree, centres: Floats, sizes: Floats, start: int) -> dict[Cell, int]:
+def _grown(
+    tree: cKDTree,
+    centres: Floats,
+    sizes: Floats,
+    start: int,
+) -> dict[Cell, int]:
     """Return the lattice around a square."""
     count = min(9, len(centres))
     _, nearest = tree.query(centres[[start]], count)
@@ -395,7 +442,9 @@ def _grown(tree: cKDTree, centres: Floats, sizes: Floats, start: int) -> dict[Ce
             after = _plus(cell, step)
             away, other = tree.query(centres[here] + way)
             ratio = sizes[other] / sizes[here]
-            fits = away < MOST_AWAY * np.hypot(*way) and 1 / ALIKE < ratio < ALIKE
+            fits = (
+                away < MOST_AWAY * np.hypot(*way) and 1 / SIDES_ALIKE < ratio < SIDES_ALIKE
+            )
             if after in known or other in known.values() or not fits:
                 continue
             known[after] = int(other)

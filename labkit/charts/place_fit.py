@@ -42,7 +42,7 @@ EXPLAINED = 1.3  # of chi-squared for each degree of freedom, after the first st
 ALIKE_RAD = 0.02  # between edges whose spreads are read from one, turned to first order
 NUISANCES = 4  # numbers of an edge beside the wavefront: its shift, its two sides, and the light's slope across
 ROUGH_STEPS, MOST_FIT_STEPS = 3, 12
-SETTLED = 0.05  # standard errors, of the last step
+SETTLED_PLACE = 0.05  # standard errors, of the last step
 MOST_WAVES = 0.4  # RMS, of a step
 MOST_SHIFT_PX = 3.0  # of an edge in the fit
 DAMPED = 5  # times that a step may be shortened
@@ -353,7 +353,7 @@ class _Edges:
                 damping = max(10 * damping, 1e-3)
             else:
                 return end
-            small = float(change @ end.normal @ change) < SETTLED**2
+            small = float(change @ end.normal @ change) < SETTLED_PLACE**2
             end = after
             damping /= 10
             if small:
@@ -389,7 +389,7 @@ class _End:
 
     @property
     def covariance(self) -> Floats:
-        """Of all numbers, enlarged where bins scatter about the model by more than noise."""
+        """Covariance of all numbers, enlarged where bins scatter about the model by more than noise."""
         return np.asarray(np.linalg.inv(self.normal) * max(self.scatter, 1.0))
 
     @property
@@ -400,7 +400,7 @@ class _End:
 
     @property
     def chi2_per_pixel(self) -> list[float]:
-        """Of each edge."""
+        """Chi-squared of each edge over its pixels."""
         pixels = [of.number.sum() for of in self.edges.profiles]
         return [float(of) for of in (self.chi2 + self.within) / pixels]
 

@@ -28,7 +28,10 @@ SHARED_SIDE_PX = 600
 Lag = tuple[int, int]
 
 
-def shared_noise(stack: NDArray[np.uint16], used: Bools) -> tuple[Uncertain, int]:
+def shared_noise(
+    stack: NDArray[np.uint16],
+    used: Bools,
+) -> tuple[Uncertain, int]:
     """Return the sum of the correlations of a pixel's noise with its neighbours', and the number of pixels.
 
     Parameters
@@ -66,7 +69,11 @@ def _far() -> list[Lag]:
     return [(0, k) for k in FAR_PX] + [(k, 0) for k in FAR_PX]
 
 
-def _difference(one: Floats, other: Floats, used: Bools) -> Floats:
+def _difference(
+    one: Floats,
+    other: Floats,
+    used: Bools,
+) -> Floats:
     """Return the noise of two frames, of unit variance, 0 elsewhere."""
     one = one.astype(np.float64)
     other = other.astype(np.float64)
@@ -76,7 +83,10 @@ def _difference(one: Floats, other: Floats, used: Bools) -> Floats:
     return apart / size if size > 0 else apart
 
 
-def _correlations(noise: Floats, used: Bools) -> dict[Lag, float]:
+def _correlations(
+    noise: Floats,
+    used: Bools,
+) -> dict[Lag, float]:
     """Return the mean product of the noise at two pixels, by their distance down and right."""
     rows, columns = noise.shape
     reach = range(-FILTER_REACH_PX, FILTER_REACH_PX + 1)
@@ -89,7 +99,11 @@ def _correlations(noise: Floats, used: Bools) -> dict[Lag, float]:
     return found
 
 
-def _mean_product(noise: Floats, used: Bools, lag: Lag) -> float:
+def _mean_product(
+    noise: Floats,
+    used: Bools,
+    lag: Lag,
+) -> float:
     """Return the mean product over pairs of used pixels at a distance."""
     down, right = lag
     rows, columns = noise.shape
