@@ -25,7 +25,7 @@ TWO_TERMS = 40  # points from which the fourth power of the radius is fitted, to
 POSE = 6  # numbers of a pose
 UNDISTORTING = 20  # steps from a distorted radius to that of a pinhole
 SURELY_BENT = 1e-6  # probability of the neighbours' agreement, if the chart was a plane
-LEAST_BEND_PX = 0.05
+LEAST_BEND_PX = 0.2  # RMS: pixels near a corner, and blur, move neighbours alike by less
 TABLE = (
     "photograph",
     "points",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -222,6 +223,30 @@ def test_the_command_prints_places_and_writes_figures(
     assert {of["sign_open"] for of in answer["focus"]["M"]} == {True}
     for name in ("profiles", "map"):
         assert (tmp_path / "out" / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_board_of_small_squares_gives_distortion_and_pose_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    side, turn = 32, np.radians(7.0)
+    y, x = np.mgrid[: 4 * 360, : 4 * 480] / 4
+    u = x * np.cos(turn) + y * np.sin(turn)
+    v = y * np.cos(turn) - x * np.sin(turn)
+    bright = (np.floor(u / side) + np.floor(v / side)) % 2
+    pixels = cv2.resize(bright, (480, 360), interpolation=cv2.INTER_AREA)
+    mean = cv2.GaussianBlur(1000 + 5000 * pixels, (0, 0), 1.0)
+    image = write_scene(tmp_path / "a.tif", [np.asarray(mean, float)])
+    words = ["chart", str(image), str(plan(tmp_path)), "--out", str(tmp_path / "out")]
+    assert run([*words, "--json"]) == 0
+    out = capsys.readouterr()
+    answer = json.loads(out.out)
+    assert "squares are 32 pixels wide, and edges need 44" in out.err
+    assert answer["chart"] == "checkerboard"
+    assert (answer["edges"], answer["places"], answer["focus"]) == ([], [], {})
+    distortion = answer["geometry"]["distortion"]
+    assert abs(distortion["value"]) < 4 * distortion["std"]
+    assert answer["geometry"]["poses"][0]["points"] > 80
+    assert not answer["geometry"]["poses"][0]["bent"]
 
 
 @pytest.mark.parametrize(
