@@ -200,7 +200,17 @@ TEXTS = {
         "lens differs from edge to edge"
     ),
     # charts
-    "chart-edges-left-out": "left out: {cut} edges cut by the frame, {clipped} clipped",
+    "chart-edges-left-out": (
+        "left out: {cut} edges cut by the frame, {clipped} clipped, {uneven} with uneven sides"
+    ),
+    "chart-squares-small": (
+        "the chart's squares are {side_px:.0f} pixels wide, and edges need {least_px:.0f}: distortion and pose are by its "
+        "points alone; photograph larger squares, or from nearer, for MTF and focus"
+    ),
+    "chart-not-flat": (
+        "photograph {number}: the chart's points depart by {rms_px:.2f} px from a plane seen by a lens with radial distortion, "
+        "as their neighbours do: is the chart bent?"
+    ),
     "chart-edges-not-fitted": "{count} edges of the chart gave no fit, most as: {why}",
     "chart-edges-blurred-otherwise": (
         "{count} of {edges} edges, channel {channel}: no lens makes their blur: {cause}; the responses include it"

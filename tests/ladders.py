@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -11,7 +11,7 @@ import numpy as np
 from labkit.files import sha256_of
 from labkit.plan import Sensor
 from labkit.session.frame import Frame
-from labkit.types import FrameKind
+from labkit.types import Floats, FrameKind
 
 SIDE = 96
 EXPOSURES_S = tuple(np.round(np.linspace(0.02, 1.2, 16), 3).tolist())
@@ -44,11 +44,12 @@ class TrueCamera:
 
 @dataclass
 class Ladder:
-    """Frames in a folder."""
+    """Frames in a folder. filtered: what the camera makes of its counts before they are written."""
 
     camera: TrueCamera
     folder: Path
     rng: np.random.Generator
+    filtered: Callable[[Floats], Floats] = np.asarray
     frames: list[Frame] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -67,7 +68,8 @@ class Ladder:
         noise = self.rng.normal(0, camera.read_noise_e, (SIDE, SIDE))
         counts = np.rint(camera.black + camera.gain * (electrons + noise))
         path = self.folder / f"{kind}_{len(self.frames)}.pgm"
-        content = np.clip(counts, 0, camera.white).astype(">u2").tobytes()
+        counts = np.rint(self.filtered(np.clip(counts, 0, camera.white)))
+        content = counts.astype(">u2").tobytes()
         path.write_bytes(b"P5 %d %d 65535\n" % (SIDE, SIDE) + content)
         columns = {
             "exposure_s": f"{exposure_s:g}",
@@ -109,10 +111,12 @@ def ladder(
     exposures_s: Sequence[float] = EXPOSURES_S,
     camera: TrueCamera | None = None,
     frames: int = 2,
+    filtered: Callable[[Floats], Floats] = np.asarray,
 ) -> Ladder:
     """Return a series of flats and darks at each exposure time."""
     folder.mkdir(exist_ok=True)
-    series = Ladder(camera or TrueCamera(), folder, np.random.default_rng(seed))
+    rng = np.random.default_rng(seed)
+    series = Ladder(camera or TrueCamera(), folder, rng, filtered)
     for exposure_s in exposures_s:
         for _ in range(frames):
             series.take("dark", exposure_s)

@@ -3,7 +3,7 @@ a room has: a window, lamps, another screen. And targets drawn into them at any 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -45,10 +45,14 @@ def _grey(picture: NDArray[Any]) -> Singles:
     return np.asarray((grey - grey.min()) / max(float(np.ptp(grey)), 1e-9), np.float32)
 
 
-def random_room(shape: tuple[int, int], rng: np.random.Generator) -> Singles:
+def random_room(
+    shape: tuple[int, int],
+    rng: np.random.Generator,
+    pictures: Sequence[Singles] | None = None,
+) -> Singles:
     """Return a room (rows, cols), 0 to 1: a part of a sample picture with a window, a lamp and another screen in it."""
-    every = sample_pictures()
-    room = _part(every[rng.integers(len(every))], shape, rng) ** rng.uniform(0.5, 2.5)
+    every = sample_pictures() if pictures is None else tuple(pictures)
+    room = _part(every[int(rng.integers(len(every)))], shape, rng) ** rng.uniform(0.5, 2.5)
     room *= rng.uniform(0.2, 1.0)
     for _ in range(rng.integers(0, 3)):  # windows and lamps
         corners = _anywhere(shape, rng.uniform(0.05, 0.4) * min(shape), rng)
@@ -65,7 +69,7 @@ def random_room(shape: tuple[int, int], rng: np.random.Generator) -> Singles:
         rim = max(2, min(size) // 20)
         inside = (size[0] - 2 * rim, size[1] - 2 * rim)
         room[top + rim : top + rim + inside[0], left + rim : left + rim + inside[1]] = (
-            _part(every[rng.integers(len(every))], inside, rng)
+            _part(every[int(rng.integers(len(every)))], inside, rng)
         )
     return room
 

@@ -1,23 +1,27 @@
-"""Edges of a chart over the whole frame, grouped by place: cells of a grid over the frame, edges of two directions each."""
+"""Edges of a chart over the whole frame, by its pattern, grouped by place: cells of a grid over the frame."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
-from scipy.spatial import cKDTree
 
+from labkit.charts.patterns import Cell, Pattern, find_pattern
 from labkit.edges.boxes import ChannelFrame, Place
-from labkit.edges.found_edges import CORNER, LEAST_STEP, PIECE, FoundEdge, edge_pieces
-from labkit.errors import DataError
-
-Cell = tuple[int, int]
-"""Row and column of a place in the grid."""
-
-NEIGHBOUR_LENGTHS = (
-    1.5  # lengths of a piece: pieces that are farther apart are of different edges
+from labkit.edges.found_edges import (
+    CORNER,
+    LEAST_STEP,
+    SHORTEST,
+    FoundEdge,
+    piece_between,
+    stretched,
 )
+from labkit.errors import DataError
+from labkit.types import Floats
+
+LONGEST = 128.0  # samples of a piece of an edge: the lens is nearly the same along it
 LEAST_GRID_ROWS = 3  # of the grid
 ALIGNED_DEG = 1.0  # against rows or columns: such an edge is sampled at few phases
 
@@ -28,26 +32,43 @@ class ChartEdges:
 
     Attributes
     ----------
+    pattern : the chart, in samples of the channel's first plane
+    points_px : (m, 2) of its lattice, (row, column) in the raw
     places : edges of each cell
-    cut, clipped, spare : edges that the border cuts, that have clipped pixels, and that the
-        cells do not need
+    cut, clipped, uneven, spare : edges that the border cuts, that have clipped pixels or
+        uneven sides, and that the cells do not need
+    small : edges too short to be measured
+    side_px, least_px : of the squares, and of the smallest that can be measured
     """
 
+    pattern: Pattern
+    points_px: Floats
     places: Mapping[Cell, tuple[Place, ...]]
     cut: int
     clipped: int
+    uneven: int
     spare: int
+    small: int
+    side_px: float
+    least_px: float
 
 
-def grid(shape: tuple[int, int], columns: int) -> tuple[int, int]:
+def grid(
+    shape: tuple[int, int],
+    columns: int,
+) -> tuple[int, int]:
     """Return rows and columns of nearly square cells over a frame, both odd: the middle is a place of its own."""
     rows, wide = shape
     half = (columns * rows / wide - 1) / 2
     return max(LEAST_GRID_ROWS, 2 * round(half) + 1), columns
 
 
-def chart_edges(frame: ChannelFrame, cells: tuple[int, int], each: int) -> ChartEdges:
-    """Find the edges of a chart in a channel's first plane.
+def chart_edges(
+    frame: ChannelFrame,
+    cells: tuple[int, int],
+    each: int,
+) -> ChartEdges:
+    """Find a chart and its edges in a channel's first plane.
 
     Parameters
     ----------
@@ -57,18 +78,34 @@ def chart_edges(frame: ChannelFrame, cells: tuple[int, int], each: int) -> Chart
 
     Raises
     ------
-    DataError : no edge is whole and unclipped
+    DataError : there is no chart, or all of its edges are clipped, cut or uneven
     """
-    pieces = edge_pieces(frame.first_plane(), CORNER)
-    cut = sum(piece.cut for piece in pieces)
-    whole = _once([piece for piece in pieces if piece.step > LEAST_STEP])
-    places = [frame.found_at(one) for one in whole]
-    unclipped = [place for place in places if frame.planes(place)]
-    clipped = len(places) - len(unclipped)
-    if not unclipped:
+    picture = frame.first_plane()
+    pattern = find_pattern(picture)
+    if pattern is None:
         raise DataError(
-            f"no chart was found: of its straight edges between two even sides, {cut} are cut by the frame and {clipped} "
-            "clipped; photograph a checkerboard or slanted squares, sides of 80 pixels at least, without clipping"
+            "no chart was found: neither a checkerboard of 4 × 4 squares or more, nor 6 or more slanted squares in rows and "
+            "columns; labkit edges measures other straight edges, with --box"
+        )
+    even = stretched(picture)
+    assert even is not None
+    sides = [_pieces(*side) for side in pattern.sides]
+    pieces = [
+        piece_between(even[0], *ends)
+        for side in sides
+        for ends in side
+        if _is_inside(np.mean(ends, axis=0), picture.shape)
+    ]
+    whole = [piece for piece in pieces if piece.step > LEAST_STEP]
+    places = [frame.found_at(one) for one in sorted(whole, key=_clearness)]
+    unclipped = [place for place in places if frame.planes(place)]
+    cut = sum(piece.cut for piece in pieces)
+    clipped = len(places) - len(unclipped)
+    uneven = len(pieces) - len(whole) - cut
+    if pieces and not unclipped:
+        raise DataError(
+            f"a chart was found ({pattern.kind}), but of its {len(pieces)} edges the frame cuts {cut}, {clipped} are clipped "
+            f"and {uneven} have uneven sides: photograph it whole, sharper, and without clipping"
         )
     size = np.array(frame.part.shape) / cells
     by_cell: dict[Cell, list[Place]] = {}
@@ -78,7 +115,44 @@ def chart_edges(frame: ChannelFrame, cells: tuple[int, int], each: int) -> Chart
         by_cell.setdefault((across, down), []).append(place)
     chosen = {cell: _two_directions(of, each) for cell, of in sorted(by_cell.items())}
     spare = len(unclipped) - sum(map(len, chosen.values()))
-    return ChartEdges(chosen, cut, clipped, spare)
+    step = frame.pixels.period
+    return ChartEdges(
+        pattern,
+        frame.pixels.places[0] + step * pattern.points,
+        chosen,
+        cut,
+        clipped,
+        uneven,
+        spare,
+        small=sum(not side for side in sides),
+        side_px=step * pattern.side,
+        least_px=step * (2 * CORNER + SHORTEST),
+    )
+
+
+def _pieces(
+    start: Floats,
+    end: Floats,
+) -> list[tuple[Floats, Floats]]:
+    """Return the ends (2,) of the pieces of a side of a square, without its corners; none for a short one."""
+    length = float(np.hypot(*(end - start)))
+    if length - 2 * CORNER < SHORTEST:
+        return []
+    cut = CORNER / length * (end - start)
+    count = int(np.ceil((length - 2 * CORNER) / LONGEST))
+    return [*pairwise(np.linspace(start + cut, end - cut, count + 1))]
+
+
+def _is_inside(
+    point: Floats,
+    shape: tuple[int, ...],
+) -> bool:
+    return bool(np.all(point >= 0) and np.all(point < np.array(shape) - 1))
+
+
+def _clearness(piece: FoundEdge) -> float:
+    """Return the order of pieces: the clearest first."""
+    return float(-piece.step * np.sqrt(piece.length_px))
 
 
 def is_aligned(angle_deg: float) -> bool:
@@ -86,22 +160,10 @@ def is_aligned(angle_deg: float) -> bool:
     return abs((angle_deg + 45) % 90 - 45) < ALIGNED_DEG
 
 
-def _once(pieces: Sequence[FoundEdge]) -> list[FoundEdge]:
-    """Return pieces, the clearest first, none upon another."""
-    pieces = sorted(pieces, key=lambda piece: -piece.step * piece.length_px)
-    if not pieces:
-        return []
-    tree = cKDTree([piece.middle for piece in pieces])
-    kept: dict[int, FoundEdge] = {}
-    for k, near in enumerate(
-        tree.query_ball_point([piece.middle for piece in pieces], NEIGHBOUR_LENGTHS * PIECE)
-    ):
-        if all(pieces[k].apart(kept[j]) for j in near if j in kept):
-            kept[k] = pieces[k]
-    return [*kept.values()]
-
-
-def _two_directions(places: Sequence[Place], each: int) -> tuple[Place, ...]:
+def _two_directions(
+    places: Sequence[Place],
+    each: int,
+) -> tuple[Place, ...]:
     """Return the clearest edges of a cell, `each` along the clearest one and as many across."""
     angles = np.array([place.found.angle for place in places if place.found])
     along = np.abs(np.cos(angles - angles[0])) > np.sqrt(0.5)

@@ -1,4 +1,4 @@
-"""Figures of a chart: responses against image height on four lines through the centre, and maps over the frame."""
+"""Figures of a chart: responses by image height, S and T, on four lines through the centre, and maps over the frame."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ from matplotlib.figure import Figure
 
 from labkit.edges.outcome import Backdrop
 from labkit.figure_style import INK, SOFT_INK, WIDTH_IN, banded
+from labkit.optics.field import FieldFrame
 from labkit.plan import leading_channel
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
 if TYPE_CHECKING:
     from labkit.charts.focal_surface import FocalSurface, PlaceFocus
-    from labkit.charts.outcome import ChartEdge, ChartOutcome
+    from labkit.charts.outcome import ChartEdge, ChartOutcome, ChartPlace
 
 LINES = {
     0: "left (−) to right (+)",
@@ -40,6 +41,11 @@ KIND_NAMES = {
 FOCUS_MARKS = {"medial": ("#1c1e21", "D"), "S": ("#0072b2", "s"), "T": ("#d55e00", "o")}
 PANEL_IN = 2.1
 LINE_POINTS = 60
+HEIGHT_BINS = 8
+DIRECTIONS = {"S": ("-", "s"), "T": ("--", "o")}
+NEAR_STEPS = (
+    0.6  # of the distance of neighbouring places: from a line to the places that it shows
+)
 MAP_RAMP = "viridis"
 EDGE_PT, EDGE_RIM_PT = 3.0, 4.6
 
@@ -52,10 +58,98 @@ def draw_figures(outcome: ChartOutcome, backdrop: Backdrop) -> dict[str, Figure]
         for edge in outcome.edges
         if edge.channel == name and edge.of.photograph == outcome.sharpest
     ]
-    figures = {"profiles": _profiles(edges), "map": _map(edges, backdrop)}
+    places = [
+        place
+        for place in outcome.places
+        if place.fit.channel == name
+        and place.edges
+        and place.edges[0].of.photograph == outcome.sharpest
+    ]
+    figures = {
+        "mtf": _by_height(places),
+        "profiles": _profiles(edges),
+        "map": _map(edges, backdrop),
+    }
     if surfaces := outcome.surfaces.get(name):
         figures["focus"] = _focus(outcome.foci[name], surfaces)
+        figures["surface"] = _surface(outcome.foci[name], surfaces["medial"], outcome.frame)
     return figures
+
+
+def _by_height(places: Sequence[ChartPlace]) -> Figure:
+    """Draw S and T at each frequency against image height, as of lens tests: places, and their means by height."""
+    figure = Figure(figsize=(WIDTH_IN, 2 * PANEL_IN), layout="constrained")
+    axes = figure.subplots()
+    for kind, (style, marker) in DIRECTIONS.items():
+        known = [place for place in places if place.known(kind)]
+        height = np.array([np.hypot(*place.height_mm) for place in known])
+        for level, colour in LEVEL_COLOURS.items():
+            values = np.array([place.responses[kind].at(level).value for place in known])
+            face = colour if kind == "S" else "white"
+            axes.plot(height, values, marker, color=colour, mfc=face, ms=2.5, alpha=0.5)
+            axes.plot(*_means(height, values), style, color=colour, lw=1.6)
+    axes.set(xlabel="image height, mm", ylabel="MTF", ylim=(0, 1), xlim=(0, None))
+    handles = [
+        axes.plot([], [], style, marker=marker, color=INK, label=KIND_NAMES[kind])[0]
+        for kind, (style, marker) in DIRECTIONS.items()
+    ]
+    handles += [
+        axes.plot([], [], color=colour, label=f"{level:g} cycles/mm")[0]
+        for level, colour in LEVEL_COLOURS.items()
+    ]
+    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
+    return figure
+
+
+def _means(height: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """Return mean heights and values of bins of equal width; of single places where there are few."""
+    if not height.size:
+        return height, values
+    ends = np.linspace(0, height.max() * (1 + 1e-9), HEIGHT_BINS + 1)
+    bins = np.digitize(height, ends)
+    each = [bins == k for k in np.unique(bins)]
+    return (
+        np.array([height[of].mean() for of in each]),
+        np.array([values[of].mean() for of in each]),
+    )
+
+
+def _surface(
+    foci: Sequence[PlaceFocus], surface: FocalSurface, frame: FieldFrame
+) -> Figure:
+    """Draw medial focus over the frame: places, and the surface through them as lines of equal focus error."""
+    half = np.abs(frame.heights_mm([0, 0]))
+    figure = Figure(
+        figsize=(WIDTH_IN, WIDTH_IN * 0.86 * half[0] / half[1] + 0.8), layout="constrained"
+    )
+    axes = figure.subplots()
+    y, x = (np.linspace(-of, of, LINE_POINTS) for of in half)
+    grid = np.stack(np.meshgrid(y, x, indexing="ij"), axis=-1).reshape(-1, 2)
+    medial = surface.at(grid)[0].reshape(LINE_POINTS, LINE_POINTS)
+    value = np.array([of.of("medial").value for of in foci])
+    every = np.append(medial, value)
+    limits = {"vmin": every.min(), "vmax": every.max()}
+    filled = axes.contourf(x, y, medial, 40, cmap=MAP_RAMP, **limits)
+    lines = axes.contour(x, y, medial, 8, colors="white", linewidths=0.7)
+    axes.clabel(lines, fmt="%g", fontsize="small")
+    at = np.array([of.height_mm for of in foci])
+    axes.scatter(at[:, 1], at[:, 0], c=value, cmap=MAP_RAMP, edgecolors="white", **limits)
+    axes.grid(False)
+    axes.set(
+        xlabel="to the right, mm",
+        ylabel="down, mm",
+        ylim=(half[0], -half[0]),
+        aspect="equal",
+        title="medial focus: places, and the surface through them",
+    )
+    figure.colorbar(
+        filled,
+        ax=axes,
+        label="sensor behind the image, µm",
+        shrink=0.85,
+        ticks=lines.levels,
+    )
+    return figure
 
 
 def _profiles(edges: list[ChartEdge]) -> Figure:
@@ -123,15 +217,19 @@ def _focus(foci: Sequence[PlaceFocus], surfaces: Mapping[str, FocalSurface]) -> 
     """Draw S, T and medial focus, and their surfaces, against signed image height on the lines through the centre."""
     figure = Figure(figsize=(WIDTH_IN, 2 * PANEL_IN + 1.0), layout="constrained")
     axes = figure.subplots(2, 2, sharex=True, sharey=True)
+    reach_mm = NEAR_STEPS * _step_mm(foci)
     for (azimuth, words), panel in zip(LINES.items(), axes.ravel(), strict=True):
         panel.set_title(words)
         panel.axvline(0, color=SOFT_INK, lw=0.6)
         on_line = sorted(
             (_signed_mm(of.height_mm, azimuth), k)
             for k, of in enumerate(foci)
-            if _is_near(of.height_mm, azimuth)
+            if _off_line_mm(of.height_mm, azimuth) <= reach_mm
         )
-        height, places = _path([(mm, foci[k].height_mm) for mm, k in on_line])
+        ends = [mm for mm, _ in on_line] or [0.0]
+        height = np.linspace(min(*ends, 0.0), max(*ends, 0.0), LINE_POINTS)
+        radians = np.radians(azimuth)
+        places = np.outer(height, [np.sin(radians), np.cos(radians)])
         for kind, (colour, marker) in FOCUS_MARKS.items():
             known = [(mm, foci[k].of(kind)) for mm, k in on_line]
             known = [(mm, of) for mm, of in known if np.isfinite(of.value)]
@@ -157,13 +255,18 @@ def _focus(foci: Sequence[PlaceFocus], surfaces: Mapping[str, FocalSurface]) -> 
     return figure
 
 
-def _path(known: Sequence[tuple[float, Floats]]) -> tuple[Floats, Floats]:
-    """Return signed heights (n,) and places (n, 2) on the way from place to place through the centre."""
-    through = sorted([*known, (0.0, np.zeros(2))], key=lambda of: of[0])
-    at = np.array([mm for mm, _ in through])
-    height = np.linspace(at[0], at[-1], LINE_POINTS)
-    ways = np.transpose([place for _, place in through])
-    return height, np.column_stack([np.interp(height, at, way) for way in ways])
+def _step_mm(foci: Sequence[PlaceFocus]) -> float:
+    """Return the median distance of a place from the nearest other one."""
+    at = np.array([of.height_mm for of in foci])
+    away = np.hypot(*(at[:, None] - at).T)
+    np.fill_diagonal(away, np.inf)
+    return float(np.median(away.min(axis=0)))
+
+
+def _off_line_mm(height_mm: Floats, azimuth: int) -> float:
+    """Return the distance of a place from a line through the centre."""
+    y, x = height_mm
+    return float(abs(y * np.cos(np.radians(azimuth)) - x * np.sin(np.radians(azimuth))))
 
 
 def _is_on(edge: ChartEdge, azimuth: int) -> bool:

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 from scipy.stats import chi2
 
-from labkit.charts.chart_edges import Cell
+from labkit.charts.patterns import Cell
 from labkit.charts.place_fit import ASTIGMATIC, PlaceFit
 from labkit.edges.ranges import symmetric_error
 from labkit.optics.lens import blur_per_wave_um

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labkit.charts.chart_edges import Cell, ChartEdges, chart_edges, grid, is_aligned
+from labkit.charts.chart_edges import ChartEdges, chart_edges, grid, is_aligned
 from labkit.charts.focal_surface import (
     FOCUS_KINDS,
     FocalSurface,
@@ -19,7 +19,9 @@ from labkit.charts.focal_surface import (
     law_misfit,
     place_focus,
 )
+from labkit.charts.geometry import chart_geometry
 from labkit.charts.outcome import ChartEdge, ChartOutcome, ChartPlace
+from labkit.charts.patterns import Cell
 from labkit.charts.place_fit import PlaceFit, PlaceTask, fit_place
 from labkit.edges.box_fit import BoxTask
 from labkit.edges.boxes import ChannelFrame, Place, read_frames
@@ -70,7 +72,8 @@ def measure_chart(
 
     Returns
     -------
-    responses of edges and places, and focal surfaces where two ranges or more are given
+    responses of edges and places, focal surfaces where two ranges or more are given, and the
+    lens's distortion with the chart's pose; the last two alone for a chart of small squares
 
     Raises
     ------
@@ -179,7 +182,12 @@ def _tasks(
                     boxes.setdefault(cell, []).append((k, task))
     return [
         PlaceTask(
-            cell, camera, tuple(task for _, task in every), tuple(k for k, _ in every), law
+            cell,
+            camera,
+            tuple(task for _, task in every),
+            tuple(k for k, _ in every),
+            photographs[0].pixels(camera.channel).period,
+            law,
         )
         for cell, every in sorted(boxes.items())
     ]
@@ -198,7 +206,7 @@ def _fitted(
 ) -> list[PlaceFit]:
     """Fit all places."""
     fits: dict[int, PlaceFit] = {}
-    with Workers(min(workers or default_workers(), len(tasks))) as run:
+    with Workers(min(workers or default_workers(), max(len(tasks), 1))) as run:
         progress(0, len(tasks), FITTING)
         for index, fit in run(fit_place, tasks):
             fits[index] = fit
@@ -230,11 +238,14 @@ def _outcome(
             middle = np.mean([edge.height_mm for edge in edges], axis=0)
             foci.setdefault(fit.channel, []).append(place_focus(fit, middle))
     rejected = [why for fit in fits for why in fit.rejected]
-    if not places:
+    if rejected and not places:
         raise DataError(f"no edge of the chart could be measured: {rejected[0]}")
+    lattices = [(of.pattern.cells, of.points_px) for of in charts]
     left_out = {
         "cut": sum(of.cut for of in charts),
         "clipped": sum(of.clipped for of in charts),
+        "uneven": sum(of.uneven for of in charts),
+        "small": sum(of.small for of in charts),
         "spare": sum(of.spare for of in charts),
         "not_fitted": len(rejected),
     }
@@ -245,10 +256,19 @@ def _outcome(
         left_out,
         {name: enlarged(every) for name, every in foci.items()},
         {name: _surfaces(enlarged(every), plan) for name, every in foci.items()},
+        charts[0].pattern.kind,
+        chart_geometry(lattices, frame, _image_distance_mm(plan, ranges)),
     )
     return replace(
         outcome, findings=tuple(each_once([*notes, *_findings(outcome, charts, rejected)]))
     )
+
+
+def _image_distance_mm(plan: Plan, ranges: Sequence[float]) -> float:
+    """Return the distance of the sensor from the lens, focused at the middle of the ranges, or at infinity without."""
+    focal_mm = plan.lens.focal_length_mm
+    middle = _middle(ranges)
+    return focal_mm if middle is None else focal_mm * middle / (middle - focal_mm)
 
 
 def _surfaces(foci: Sequence[PlaceFocus], plan: Plan) -> Mapping[str, FocalSurface]:
@@ -267,10 +287,24 @@ def _findings(
     """Return what a user should see as warnings."""
     findings = []
     left = outcome.left_out
-    if left["cut"] or left["clipped"]:
+    if not outcome.edges:
+        side = np.median([of.side_px for of in charts])
         findings.append(
-            found("chart-edges-left-out", cut=left["cut"], clipped=left["clipped"])
+            found("chart-squares-small", side_px=float(side), least_px=charts[0].least_px)
         )
+    elif any(left[name] for name in ("cut", "clipped", "uneven")):
+        findings.append(
+            found(
+                "chart-edges-left-out",
+                cut=left["cut"],
+                clipped=left["clipped"],
+                uneven=left["uneven"],
+            )
+        )
+    for pose in outcome.geometry.poses if outcome.geometry else ():
+        if pose.bent:
+            number = pose.photograph + 1
+            findings.append(found("chart-not-flat", number=number, rms_px=pose.rms_px))
     if rejected:
         why = Counter(rejected).most_common(1)[0][0]
         findings.append(found("chart-edges-not-fitted", count=len(rejected), why=why))

@@ -13,6 +13,7 @@ import numpy as np
 
 from labkit.charts.chart_edges import is_aligned
 from labkit.charts.focal_surface import FOCUS_KINDS, FocalSurface, PlaceFocus
+from labkit.charts.geometry import ChartGeometry
 from labkit.charts.place_fit import EdgeResponse, PlaceFit
 from labkit.edges.outcome import Backdrop
 from labkit.edges.response import Response, response_along, with_errors
@@ -187,6 +188,8 @@ class ChartOutcome:
     left_out : number of edges that were not measured, by reason
     foci : focus errors of the places by channel
     surfaces : focal surfaces by channel: medial, S and T; empty where the sign of defocus is open
+    kind : of the chart, in words
+    geometry : distortion and pose; None for a chart of few points
     findings : what a user should see as warnings
     """
 
@@ -196,6 +199,8 @@ class ChartOutcome:
     left_out: Mapping[str, int]
     foci: Mapping[str, tuple[PlaceFocus, ...]]
     surfaces: Mapping[str, Mapping[str, FocalSurface]]
+    kind: str
+    geometry: ChartGeometry | None
     findings: tuple[Finding, ...] = ()
 
     @property
@@ -208,10 +213,12 @@ class ChartOutcome:
         answer: dict[str, Any] = _json(
             {
                 "schema": 1,
+                "chart": self.kind,
                 "frame_px": list(self.frame.shape_px),
                 "edges": [edge.as_json() for edge in self.edges],
                 "places": [place.as_json() for place in self.places],
                 "left_out": self.left_out,
+                "geometry": self.geometry and self.geometry.as_json(),
                 "focus": {
                     name: [of.as_json() for of in every]
                     for name, every in self.foci.items()
@@ -237,7 +244,7 @@ class ChartOutcome:
         every: dict[int, list[float]] = {}
         for edge in self.edges:
             every.setdefault(edge.of.photograph, []).append(edge.of.fitted.mtf50.value)
-        return max(every, key=lambda k: float(np.nanmedian(every[k])))
+        return max(every, key=lambda k: float(np.nanmedian(every[k])), default=0)
 
     def focus_rows(self) -> list[list[str]]:
         """Return a heading and a row for the focus errors of each place."""
@@ -265,7 +272,9 @@ class ChartOutcome:
         text = json.dumps(self.as_json(), indent=1, allow_nan=False).encode() + b"\n"
         files = {"chart.json": text}
         with styled():
-            for name, figure in draw_figures(self, backdrop).items():
+            for name, figure in (
+                draw_figures(self, backdrop) if self.edges else {}
+            ).items():
                 files[f"{name}.png"] = png(figure)
         return write_folder(folder, files)
 

@@ -58,7 +58,7 @@ def chart(
     out: Out = None,
     workers: Workers = None,
 ) -> None:
-    """Measure a lens over the frame by a chart. MTF, sagittal and tangential, and focus, by the edges of squares."""
+    """Measure a lens over the frame by a chart. MTF, focus and distortion, by a checkerboard or slanted squares."""
     photographs, plan = photographs_and_plan(images, "chart")
     from labkit.charts.measurement import measure_chart
 
@@ -84,10 +84,14 @@ def _show(
     from labkit.edges.outcome import grey_picture
 
     console.warn(*(finding.text for finding in outcome.findings))
-    console.table(outcome.rows())
-    console.table(outcome.focus_rows())
+    if outcome.edges:
+        console.table(outcome.rows())
+        console.table(outcome.focus_rows())
     if surfaces := outcome.surface_rows():
         console.table(surfaces)
+    if outcome.geometry is not None:
+        console.table(outcome.geometry.rows())
+        console.say(outcome.geometry.sentence)
     if out is not None:
         for path in outcome.write(out, grey_picture(image, plan)):
             console.say(f"written: {path}")

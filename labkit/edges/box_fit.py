@@ -9,7 +9,7 @@ import numpy as np
 
 from labkit.edges.boxes import ChannelFrame, Place
 from labkit.edges.camera import Camera
-from labkit.edges.comparison import Comparison, compare
+from labkit.edges.comparison import Comparison, compare, fitted_mean
 from labkit.edges.defocus_sides import sides_of
 from labkit.edges.edge_fit import EXACTLY, ROUGHLY, EdgeFit, EdgeProblem
 from labkit.edges.esfr import LATEST, Esfr, Plane, esfr
@@ -20,7 +20,7 @@ from labkit.edges.first_fits import (
     refuse_structure,
     rough_edge,
 )
-from labkit.edges.other_blur import find_blur, fit_with_blur
+from labkit.edges.other_blur import Measured, find_blur, fit_with_blur
 from labkit.edges.ranges import Side
 from labkit.edges.region import Region
 from labkit.edges.response import Response, fitted_response
@@ -128,7 +128,8 @@ class BoxFit:
         task = self.task
         if self.iso is None or not self.ends:
             return self
-        comparison = compare(task.planes, task.place.slices, self.iso, self.fit, self.first)
+        mean = fitted_mean(self.fit, self.first, task.place.slices)
+        comparison = compare(task.planes, self.iso, mean, task.camera.optics.pitch_um)
         return replace(self, comparison=comparison)
 
     @property
@@ -196,7 +197,8 @@ def _with_other_blur(box: BoxFit) -> BoxFit:
     box = replace(box, task=replace(box.task, regions=box.fit.problem.regions)).compared()
     if box.comparison is None or not box.contradicted:
         return box
-    other = find_blur(box.fit, box.comparison)
+    measured = Measured.of(box.fit, box.comparison)
+    other = find_blur(measured, box.fit.defocus()[0])
     if other is None:
         return box
     ends = fit_with_blur(box.ends, other)

@@ -68,31 +68,18 @@ class Comparison:
 
 
 def compare(
-    planes: tuple[Plane, ...],
-    box: tuple[slice, slice],
-    measured: Esfr,
-    fit: EdgeFit,
-    k: int,
+    planes: tuple[Plane, ...], measured: Esfr, mean: Floats, pitch_um: float
 ) -> Comparison | None:
-    """Return the difference of the response by ISO 12233 from a region's fit; None where the fit's cannot be measured.
+    """Return the difference of the response by ISO 12233 from a fit's; None where the fit's cannot be measured.
 
     Parameters
     ----------
-    planes, box : the photograph's samples, and the rows and columns of the box that they are of
+    planes : the photograph's samples
     measured : their response
-    fit, k : the fit, and the place of its region
+    mean : (n,) mean counts by the fit, of the pixels that the planes' samples are numbered by
+    pitch_um : of the photograph's pixels
     """
-    region = fit.problem.regions[k]
-    rows, columns = (each.ravel() for each in np.mgrid[box].astype(float))
-    whole = replace(region, rows=rows, columns=columns, counts=np.zeros_like(rows))
-    mean, _, _ = mean_and_slopes(
-        whole,
-        fit.state.edge(k),
-        fit.problem.optics_of(k),
-        fit.problem.wavefront(fit.state, k),
-    )
     drawn = [replace(plane, values=mean[plane.index]) for plane in planes]
-    pitch_um = fit.problem.optics_of(k).pitch_um
     try:
         modelled = esfr(drawn, pitch_um, measured.edition)
     except DataError:
@@ -102,3 +89,23 @@ def compare(
     used = (every > 0) & (every <= highest)
     value = np.interp(every[used], modelled.frequency_per_mm, modelled.value)
     return Comparison(every[used], measured.value[used] - value, measured.noise[used])
+
+
+def pixels_of(box: tuple[slice, slice]) -> tuple[Floats, Floats]:
+    """Return rows and columns (n,) of the pixels of a box, in the order that samples are numbered by."""
+    rows, columns = (each.ravel() for each in np.mgrid[box].astype(float))
+    return rows, columns
+
+
+def fitted_mean(fit: EdgeFit, k: int, box: tuple[slice, slice]) -> Floats:
+    """Return the mean counts (n,) of the pixels of a box by the fit of its region, the fit's k-th."""
+    rows, columns = pixels_of(box)
+    region = fit.problem.regions[k]
+    whole = replace(region, rows=rows, columns=columns, counts=np.zeros_like(rows))
+    mean, _, _ = mean_and_slopes(
+        whole,
+        fit.state.edge(k),
+        fit.problem.optics_of(k),
+        fit.problem.wavefront(fit.state, k),
+    )
+    return mean

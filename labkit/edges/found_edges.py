@@ -104,13 +104,10 @@ def edge_pieces(picture: Floats, trim: float, short: bool = False) -> list[Found
     -------
     pieces in samples; the step of one without two even sides is nan
     """
-    picture = real_array("picture", picture, (None, None), "counts")
-    low, high = np.percentile(picture, SHADES)
-    if not high > low:
+    if (even := stretched(picture)) is None:
         return []
-    picture = (picture - low) / (high - low)
-    # the eye's curve: edges in the dark count as well
-    grey = np.round(255 * np.sqrt(picture.clip(0, 1))).astype(np.uint8)
+    picture, eye = even
+    grey = np.round(255 * eye).astype(np.uint8)
     lines = cv2.createLineSegmentDetector(cv2.LSD_REFINE_STD).detect(grey)[0]
     pieces = []
     for line in [] if lines is None else lines.reshape(-1, 2, 2).astype(float):
@@ -121,11 +118,25 @@ def edge_pieces(picture: Floats, trim: float, short: bool = False) -> list[Found
             cut = left_out / length * (end - start)
             count = max(1, round((length - 2 * left_out) / PIECE))
             ends = np.linspace(start + cut, end - cut, count + 1)
-            pieces += [_piece(picture, *piece) for piece in pairwise(ends)]
+            pieces += [piece_between(picture, *piece) for piece in pairwise(ends)]
     return pieces
 
 
-def _piece(picture: Floats, start: Floats, end: Floats) -> FoundEdge:
+def stretched(picture: Floats) -> tuple[Floats, Floats] | None:
+    """Return a picture (rows, columns) between its darkest and brightest parts, 0 to 1, and by the eye's curve; None if all
+    of it is equal.
+
+    By the eye's curve edges in the dark count as well.
+    """
+    picture = real_array("picture", picture, (None, None), "counts")
+    low, high = np.percentile(picture, SHADES)
+    if not high > low:
+        return None
+    picture = (picture - low) / (high - low)
+    return picture, np.sqrt(picture.clip(0, 1))
+
+
+def piece_between(picture: Floats, start: Floats, end: Floats) -> FoundEdge:
     """Return a piece between two points (row, column), in samples; its step is nan if a side is uneven or cut by the border.
 
     Sides begin at a third of their depth, where blur has mostly ended.

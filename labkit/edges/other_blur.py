@@ -13,11 +13,12 @@ from scipy.optimize import least_squares
 
 from labkit.edges.blur import BLURS, Blur, Sharpening
 from labkit.edges.comparison import REPEATED_TO, Comparison
-from labkit.edges.edge_fit import EdgeFit, fit_edges
+from labkit.edges.edge_fit import EdgeFit, LensPrior, fit_edges
 from labkit.edges.first_fits import NEAR_FOCUS, twin
 from labkit.edges.region import BLUR_NUMBERS
-from labkit.edges.response import fitted_response
+from labkit.edges.response import Response, fitted_response
 from labkit.edges.spread import EdgeBlur, camera_slice
+from labkit.imaging.optics import Optics
 from labkit.optics.mtf import modulus
 from labkit.types import Complexes, Floats
 
@@ -54,28 +55,52 @@ class Measured:
 
     Attributes
     ----------
-    fit : of the edge without the blur
+    optics, lens : the camera without the blur, and what is known of its modes but defocus
+    azimuth : of the edge's normal, radians
     per_um, value, noise : (f,)
     """
 
-    fit: EdgeFit
+    optics: Optics
+    lens: LensPrior
+    azimuth: float
     per_um: Floats
     value: Floats
     noise: Floats
 
     @classmethod
     def of(cls, fit: EdgeFit, comparison: Comparison) -> Measured:
-        """Return the fit's response with what the photograph's has more."""
-        response = fitted_response(fit)
+        """Return the response of a fit's first edge with what the photograph's has more."""
+        problem = fit.problem
+        angle = fit.state.edge(0).angle
+        return cls.along(
+            problem.optics_of(0), problem.lens, angle, fitted_response(fit), comparison
+        )
+
+    @classmethod
+    def along(
+        cls,
+        optics: Optics,
+        lens: LensPrior,
+        azimuth: float,
+        response: Response,
+        comparison: Comparison,
+    ) -> Measured:
+        """Return a fit's response along an azimuth with what the photograph's has more."""
         per_mm = comparison.frequency_per_mm
         own = np.interp(per_mm, response.frequency_per_mm, response.value, right=0.0)
         noise = np.hypot(comparison.noise, REPEATED_TO)
-        return cls(fit, 1e-3 * per_mm, own + comparison.difference, noise)
+        value = own + comparison.difference
+        return cls(optics, lens, azimuth, 1e-3 * per_mm, value, noise)
+
+    @property
+    def modes(self) -> int:
+        """Number of modes."""
+        return len(self.optics.noll)
 
     @property
     def beyond_best(self) -> bool:
         """Return whether the response exceeds that of a lens without aberrations."""
-        flat = np.zeros(len(self.fit.problem.noll))
+        flat = np.zeros(self.modes)
         best = np.abs(self._slice(flat, None)[0])
         return bool(np.any(self.value > best + BEYOND + 3 * self.noise))
 
@@ -83,7 +108,7 @@ class Measured:
         self, kind: Blur | None, start: Sequence[float], defocus: float
     ) -> tuple[float, Floats]:
         """Return chi-squared, priors included, and waves and numbers of the lens and a kind of blur, from a start."""
-        lens = self.fit.problem.lens
+        lens = self.lens
         known = np.append(0.0, lens.mean)
         root = np.linalg.cholesky(lens.precision).T
         weight = np.zeros((known.size, known.size))
@@ -111,23 +136,22 @@ class Measured:
 
     def _response(self, numbers: Floats, kind: Blur | None) -> tuple[Floats, Floats]:
         """Return the response (f,) of a lens and a blur, and its slopes (n, f)."""
-        modes = len(self.fit.problem.noll)
-        blur = None if kind is None else EdgeBlur(kind, tuple(numbers[modes:].tolist()))
-        return modulus(*self._slice(numbers[:modes], blur))
+        waves, rest = np.split(numbers, [self.modes])
+        blur = None if kind is None else EdgeBlur(kind, tuple(rest.tolist()))
+        return modulus(*self._slice(waves, blur))
 
     def _slice(self, waves: Floats, blur: EdgeBlur | None) -> tuple[Complexes, Complexes]:
         """Return the transfer function along the edge's normal, and its slopes."""
-        fit = self.fit
-        optics = fit.problem.optics_of(0)
-        of = camera_slice(optics, waves, fit.state.edge(0).angle, self.per_um, blur)
+        of = camera_slice(self.optics, waves, self.azimuth, self.per_um, blur)
         return of.value, np.concatenate([of.by_waves, of.by_blur])
 
 
-def find_blur(fit: EdgeFit, comparison: Comparison) -> OtherBlur | None:
-    """Return the kind of blur that explains an edge's response; None where the lens alone explains it as well."""
-    measured = Measured.of(fit, comparison)
-    own = abs(fit.defocus()[0])
-    defoci = sorted({NEAR_FOCUS[0], max(own, NEAR_FOCUS[0])})
+def find_blur(measured: Measured, defocus_waves: float) -> OtherBlur | None:
+    """Return the kind of blur that explains an edge's response; None where the lens alone explains it as well.
+
+    defocus_waves : of the fit without the blur, RMS
+    """
+    defoci = sorted({NEAR_FOCUS[0], max(abs(defocus_waves), NEAR_FOCUS[0])})
     alone = min(measured.explained(None, (), defocus)[0] for defocus in defoci)
     costs: dict[Blur, float] = {}
     ends: dict[Blur, Floats] = {}
@@ -137,7 +161,7 @@ def find_blur(fit: EdgeFit, comparison: Comparison) -> OtherBlur | None:
         for start in kind.starts:
             for defocus in defoci:
                 cost, end = measured.explained(kind, start, defocus)
-                blurs = isinstance(kind, Sharpening) or end[len(fit.problem.noll)] > 0
+                blurs = isinstance(kind, Sharpening) or end[measured.modes] > 0
                 if blurs and cost < costs.get(kind, alone - kind.size * LEAST_GAIN):
                     costs[kind] = cost
                     ends[kind] = end
@@ -145,7 +169,7 @@ def find_blur(fit: EdgeFit, comparison: Comparison) -> OtherBlur | None:
         return None
     kinds = sorted(costs, key=lambda kind: costs[kind])
     likely = [kind for kind in kinds if costs[kind] < costs[kinds[0]] + AS_LIKELY_KIND]
-    waves, numbers = np.split(ends[kinds[0]], [len(fit.problem.noll)])
+    waves, numbers = np.split(ends[kinds[0]], [measured.modes])
     return OtherBlur(EdgeBlur(kinds[0], tuple(numbers.tolist())), tuple(likely), waves)
 
 

@@ -79,7 +79,7 @@ def camera_slice(
     lens: Complexes = np.sum(slices, axis=0)
     value, by_waves, turning = lens[0], lens[1:-1], lens[-1]
     beyond, low, high = (
-        _beyond(optics, azimuth + turn, frequency) for turn in (0.0, -TURN, TURN)
+        behind_lens(optics, azimuth + turn, frequency) for turn in (0.0, -TURN, TURN)
     )
     by_azimuth = turning * beyond + value * (high - low) / (2 * TURN)
     plain = value * beyond
@@ -121,7 +121,7 @@ def _lens_slice(
     return np.asarray(np.where(left > 0, series @ powers.T, 0))
 
 
-def _beyond(optics: Optics, azimuth: float, frequency: Floats) -> Floats:
+def behind_lens(optics: Optics, azimuth: float, frequency: Floats) -> Floats:
     """Return the transfer function behind the lens: of the pixel's active square and the camera's parts."""
     columns = frequency * np.cos(azimuth)
     rows = frequency * np.sin(azimuth)

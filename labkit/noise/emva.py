@@ -7,7 +7,7 @@ here they are fitted by weighted least squares, which gives errors too.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import brentq
@@ -15,6 +15,8 @@ from scipy.optimize import brentq
 from labkit.calibration.photon_transfer import ROUNDING_VARIANCE
 from labkit.errors import DataError
 from labkit.noise.levels import Level, Series, each_frame
+from labkit.noise.shared import pooled
+from labkit.photographs.photograph import SATURATION_MARGIN
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
@@ -29,6 +31,10 @@ LEAST_LEVELS = 4
 
 HIDDEN_VARIANCE = 0.24
 """Dark variance, counts², below which rounding hides the noise (section 6.6)."""
+
+MOST_SHARED, SURELY_SHARED = 0.05, 5.0
+"""Sum of a pixel's correlations with its neighbours, and its standard errors, above which raw data were filtered: charges that
+pixels of a sensor pass on make less."""
 
 MOST_RESTLESS = 0.05
 """Relative change of light between flats of a level: pairs cancel half its square, 0.1 % of the gain."""
@@ -82,6 +88,7 @@ class _Line:
 def camera_model(series: Series) -> ChannelNoise:
     """Return the model of a channel. Raises DataError for levels that do not suffice."""
     flats = series.flats
+    _refuse_one_light(flats)
     _refuse_restless(flats)
     _refuse_warm(series.darks)
     peak = int(np.argmax([level.variance for level in flats]))
@@ -89,12 +96,9 @@ def camera_model(series: Series) -> ChannelNoise:
     top = flats[peak].signal
     fitted = [flat for flat in flats[: peak + 1] if flat.signal <= SENSITIVITY_SHARE * top]
     if len(fitted) < LEAST_LEVELS:
-        raise DataError(
-            f"flats at {len(fitted)} levels of light between dark and {SENSITIVITY_SHARE:.0%} of saturation: photon transfer "
-            f"needs {LEAST_LEVELS} or more, better 15; add exposure times between {flats[0].exposure_s:g} and "
-            f"{flats[peak].exposure_s:g} s"
-        )
-    line = _photon_transfer(fitted, series.darks)
+        raise DataError(_too_few(flats, peak, len(fitted)))
+    shared = _shared(fitted)
+    line = _photon_transfer(fitted, _unclipped(series.darks), shared.value)
     gain = line[0]
     read_counts, read_e = _read_noise(line)
     saturation_e = _saturation(flats, peak, gain) if reached else NAN
@@ -133,8 +137,63 @@ def camera_model(series: Series) -> ChannelNoise:
         deviations_percent=deviations,
         dark_variance=float(line.values[1]),
         fitted_to=SENSITIVITY_SHARE * top,
-        notes=tuple(_notes(series, reached, line, linear)),
+        notes=tuple(_notes(series, reached, line, linear, shared)),
     )
+
+
+def _refuse_one_light(flats: Sequence[Level]) -> None:
+    """Raise DataError for flats of a single exposure time and light."""
+    if len(flats) > 1:
+        return
+    levels = sorted(flats[0].means)
+    if levels[-1] - levels[0] > MOST_RESTLESS * max(levels[-1], 1.0):
+        raise DataError(
+            f"all flats have one exposure time, {flats[0].exposure_s:g} s, but means of {levels[0]:.0f} to {levels[-1]:.0f} "
+            "counts, and no column photons tells their light apart: state each frame's own exposure time, or its light as "
+            "photons, in the list and import it anew"
+        )
+    raise DataError(
+        f"all flats have one exposure time, {flats[0].exposure_s:g} s, and one light: photon transfer needs flats at "
+        f"{LEAST_LEVELS} or more levels of light, better 15; take flats and darks of several exposure times"
+    )
+
+
+def _too_few(flats: Sequence[Level], peak: int, fitted: int) -> str:
+    """Return why the levels between dark and saturation do not suffice."""
+    beyond = [flat for flat in flats[peak + 1 :] if np.isnan(flat.ends[1])]
+    if len(beyond) >= LEAST_LEVELS:
+        return (
+            f"noise falls where light grows, from {flats[peak].signal:.0f} counts on, where nothing is clipped: the counts are "
+            "not linear in light; photon transfer needs raw files, without a tone curve such as sRGB's"
+        )
+    return (
+        f"flats at {fitted} levels of light between dark and {SENSITIVITY_SHARE:.0%} of saturation: photon transfer "
+        f"needs {LEAST_LEVELS} or more, better 15; add exposure times below {flats[peak].exposure_s:g} s"
+    )
+
+
+def _unclipped(darks: Sequence[Level]) -> list[Level]:
+    """Return the darks whose noise is not cut off at 0 counts."""
+    return [dark for dark in darks if np.isnan(dark.ends[0])]
+
+
+def _shared(flats: Sequence[Level]) -> Uncertain:
+    """Return the mean sum of correlations with neighbours; 0 where chance, or a sensor, explains it."""
+    every = pooled([(flat.shared, flat.pixels) for flat in flats])
+    seen = every.value > max(MOST_SHARED, SURELY_SHARED * every.std)
+    return every if seen else Uncertain(0.0, every.std)
+
+
+def _with_shared(levels: Sequence[Level]) -> list[Level]:
+    """Return levels with the variance that pixels have together with what they share."""
+    found = []
+    for level in levels:
+        whole = 1 + max(level.shared.value, 0.0)
+        std = np.hypot(level.variance_std * whole, level.variance * level.shared.std)
+        found.append(
+            replace(level, variance=whole * level.variance, variance_std=float(std))
+        )
+    return found
 
 
 def _refuse_restless(flats: Sequence[Level]) -> None:
@@ -196,13 +255,21 @@ def _fit(design: Floats, values: Floats, std: Floats, misfit: Floats) -> _Line:
     return fitted(float(brentq(lambda multiple: fitted(multiple)[0], 0.0, most)))[1]
 
 
-def _photon_transfer(flats: Sequence[Level], darks: Sequence[Level]) -> _Line:
+def _photon_transfer(
+    flats: Sequence[Level], darks: Sequence[Level], shared: float
+) -> _Line:
     """Fit variance = gain × signal + dark variance + slope × exposure time, the last with darks of several times.
 
     The signal is counted above darks of the same time, so that their current adds to the
-    variance by time alone.
+    variance by time alone. shared: sum of a pixel's correlations with its neighbours; what
+    they share counts as noise, and half of it as error: a mean keeps all noise at frequency
+    0, a median of nine adds 32 %, other filters take some.
     """
     levels = [*flats, *darks]
+    if shared > 0:
+        line = _photon_transfer(_with_shared(flats), _with_shared(darks), 0.0)
+        error = shared / (1 + shared) / 2 * line.values
+        return _Line(line.values, line.covariance + np.outer(error, error))
     signal = np.array([flat.signal for flat in flats] + [0.0] * len(darks))
     seconds = np.array([level.exposure_s for level in levels])
     columns = [signal, np.ones(len(levels))]
@@ -323,9 +390,30 @@ def _over(above: Uncertain, below: Uncertain) -> Uncertain:
 
 
 def _notes(
-    series: Series, reached: bool, line: _Line, linear: Sequence[Level]
+    series: Series,
+    reached: bool,
+    line: _Line,
+    linear: Sequence[Level],
+    shared: Uncertain,
 ) -> list[str]:
     notes = []
+    if shared.value > 0:
+        notes.append(
+            f"neighbouring pixels share noise, their correlations sum to {shared}: the raw data were filtered (raw noise "
+            "reduction); gain and read noise count what is shared, with half of it as error, PRNU and DSNU are what the filter "
+            "left; turn noise reduction off"
+        )
+    full = [flat.ends[1] for flat in series.flats if np.isfinite(flat.ends[1])]
+    if full and min(full) < series.white_level - SATURATION_MARGIN * series.white:
+        notes.append(
+            f"the flats pile up at {min(full):g} counts, below the white level of {series.white_level:g}: saturation is there; "
+            "correct sensor.white_level"
+        )
+    if len(_unclipped(series.darks)) < len(series.darks):
+        notes.append(
+            "darks are clipped at 0 counts, which cuts their noise off: the read noise is by the other frames; keep the black "
+            "level in the files"
+        )
     if not reached:
         notes.append(
             f"the flats do not reach saturation, the brightest is at {series.flats[-1].signal / series.white:.0%} of white: "

@@ -16,10 +16,11 @@ from scipy import ndimage
 from labkit.calibration.masters import outliers, smooth_illumination
 from labkit.calibration.stack import Stack, Stacks
 from labkit.errors import DataError, shown
-from labkit.photographs.photograph import Cut
+from labkit.noise.shared import pooled, shared_noise
+from labkit.photographs.photograph import Cut, Photograph
 from labkit.plan import Sensor
 from labkit.session.frame import Frame
-from labkit.types import Bools, Floats, Floats32, Progress
+from labkit.types import Bools, Counts, Floats, Floats32, Progress
 from labkit.uncertain import Uncertain
 
 LEAST_EVEN = 0.9
@@ -44,7 +45,9 @@ class Level:
     included, with its standard error, both without hot pixels; spatial: variance of the
     averaged frames beyond temporal noise and slow changes, of all pixels, counts²;
     spatial_whole: with slow changes. means: mean counts of each frame; clipped:
-    share of clipped pixels; pixels: their number; files: names.
+    share of clipped pixels; pixels: their number; files: names; shared: sum of the
+    correlations of a pixel's noise with its neighbours', 0 of a sensor; ends: the lowest and
+    the highest count that pixels pile up at, nan where they do not.
     """
 
     exposure_s: float
@@ -59,6 +62,8 @@ class Level:
     clipped: float
     pixels: int
     files: tuple[str, ...]
+    shared: Uncertain
+    ends: tuple[float, float]
 
     @property
     def light(self) -> float:
@@ -68,12 +73,17 @@ class Level:
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """All levels of one channel, rising. dark_missing: exposures whose flats took other darks; white: counts above black."""
+    """All levels of one channel, rising.
+
+    dark_missing: exposures whose flats took other darks; white: counts above black, and
+    white_level: counts, as stated.
+    """
 
     flats: tuple[Level, ...]
     darks: tuple[Level, ...]
     dark_missing: tuple[float, ...]
     white: float
+    white_level: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,11 +119,12 @@ def read_series(
 
     Raises RawError for a file that cannot be read, DataError for frames that do not suffice.
     """
+    _refuse_untimed(frames)
     flats = _groups(frames, "flat")
     darks = _groups(frames, "dark")
     total = len(flats) + len(darks) + 1
     progress(0, total, "looking where the light is even")
-    even, white = _even_light(flats, sensor, channels)
+    even, first = _even_light(flats, sensor, channels)
     good = ~_hot(_stack(darks[-1], sensor))
     pixels = {name: _Pixels(name, mask, mask & good) for name, mask in even.items()}
     dark_levels: dict[str, list[Level]] = {name: [] for name in channels}
@@ -145,7 +156,8 @@ def read_series(
             tuple(sorted(levels[name], key=lambda level: level.light)),
             tuple(dark_levels[name]),
             tuple(dict.fromkeys(missing)),
-            white,
+            first.full_light,
+            first.white,
         )
         for name in channels
     }
@@ -197,15 +209,25 @@ def _groups(frames: Sequence[Frame], kind: str) -> list[_Group]:
     ]
 
 
-def _exposure_s(frame: Frame) -> float:
-    """Return the exposure time that the list states, or else the file. Raises DataError without either."""
-    stated = _column(frame, "exposure_s")
-    seconds = frame.exposure_s if stated is None else stated
-    if seconds is None:
+def _refuse_untimed(frames: Sequence[Frame]) -> None:
+    """Raise DataError for flats and darks without an exposure time."""
+    series = [frame for frame in frames if frame.kind in ("flat", "dark")]
+    untimed = [
+        frame.file
+        for frame in series
+        if _column(frame, "exposure_s") is None and frame.exposure_s is None
+    ]
+    if untimed:
         raise DataError(
-            f"{frame.file} states no exposure time: add a column exposure_s to the list and import it anew"
+            f"{len(untimed)} of {len(series)} flats and darks state no exposure time, such as {untimed[0]}: add a column "
+            "exposure_s to the list and import it anew"
         )
-    return seconds
+
+
+def _exposure_s(frame: Frame) -> float:
+    """Return the exposure time that the list states, or else the file."""
+    stated = _column(frame, "exposure_s")
+    return float(frame.exposure_s or 0.0) if stated is None else stated
 
 
 def _photons(frame: Frame) -> float | None:
@@ -228,8 +250,8 @@ def _column(frame: Frame, name: str) -> float | None:
 
 def _even_light(
     flats: Sequence[_Group], sensor: Sensor, channels: Sequence[str]
-) -> tuple[Mapping[str, Bools], float]:
-    """Return where each channel's light is within LEAST_EVEN of its brightest, and the counts of white above black.
+) -> tuple[Mapping[str, Bools], Photograph]:
+    """Return where each channel's light is within LEAST_EVEN of its brightest, and a photograph of the series.
 
     Raises DataError where all flats are clipped.
     """
@@ -238,7 +260,7 @@ def _even_light(
     ):
         stack = _stack(group, sensor)
         masks = {name: stack.first.channel_mask(name) for name in channels}
-        if all(stack.saturated[mask].mean() < FEW_CLIPPED for mask in masks.values()):
+        if not any(_is_full(stack, mask) for mask in masks.values()):
             break
     else:
         raise DataError(
@@ -251,7 +273,7 @@ def _even_light(
             even = smooth_illumination(light, ~stack.saturated[plane])
             relative = np.where(even.lit, even.relative, 0.0)
             masks[name][plane] = relative > LEAST_EVEN * np.percentile(relative, 99)
-    return masks, stack.first.full_light
+    return masks, stack.first
 
 
 def _stack(group: _Group, sensor: Sensor) -> Stack:
@@ -264,12 +286,34 @@ def _stack(group: _Group, sensor: Sensor) -> Stack:
             "or TIFF, PNG or PGM of linear counts"
         )
     copies = len({frame.sha256 for frame in group.frames}) < len(group.frames)
-    if copies and not stack.saturated.all():
+    # frames without noise, of pixels at an end of the scale, are alike without being copies
+    if copies and any(np.ptp(stack.counts[:, *cut]) > 0 for cut in stack.first.every_plane):
         raise DataError(
             f"the {first.kind}s of {group.exposure_s:g} s hold copies of one photograph, such as {first.file}: "
             "photon transfer needs separate exposures"
         )
     return stack
+
+
+def _is_full(stack: Stack, where: Bools) -> bool:
+    """Return whether pixels are clipped at the stated white level, or at a lower one."""
+    return bool(
+        stack.saturated[where].mean() >= FEW_CLIPPED
+        or np.isfinite(_ends(stack.counts[0][where])[1])
+    )
+
+
+def _ends(counts: Counts) -> tuple[float, float]:
+    """Return the lowest and the highest of counts (n,) that pixels pile up at; nan where they do not.
+
+    Counts become fewer towards both ends of a noise's distribution; a clipped one has its
+    most at the end.
+    """
+    low, high = int(counts.min()), int(counts.max())
+    at = [np.mean(counts == count) for count in (low, low + 1, high - 1, high)]
+    bottom = low if low == 0 and at[0] > max(at[1], FEW_CLIPPED) else np.nan
+    top = high if high > low + 1 or at[3] == 1 else np.nan
+    return bottom, top if at[3] > max(at[2], FEW_CLIPPED) else np.nan
 
 
 def _mean(stack: Stack, plane: Cut) -> Floats:
@@ -310,6 +354,13 @@ def _level(group: _Group, stack: Stack, used: _Pixels, offset: _Offset) -> Level
         spatial_whole=_beyond(whole**2, temporal),
         means=tuple(means.tolist()),
         clipped=float(stack.saturated[where].mean()),
+        shared=pooled(
+            [
+                shared_noise(stack.counts[:, *plane], where[plane])
+                for plane in stack.first.planes(used.name)
+            ]
+        ),
+        ends=_ends(stack.counts[0][where]),
         pixels=pixels,
         files=tuple(frame.file for frame in group.frames),
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -96,7 +97,7 @@ def test_edges_are_s_and_t_by_their_direction_and_neither_on_the_diagonals(
     tmp_path: Path,
 ) -> None:
     even: Waves = lambda y, x: np.array([0.3, 0.0, 0.0, 0.02, 0.03, 0.05])  # noqa: E731
-    image = write_scene(tmp_path / "a.tif", [chart((3, 5), even, N, checkerboard)])
+    image = write_scene(tmp_path / "a.tif", [chart((4, 5), even, N, checkerboard)])
     outcome = measure_chart(
         image, plan(tmp_path), columns=5, each=1, ranges_mm=[FOCUS_MM], workers=1
     )
@@ -154,7 +155,7 @@ def through_focus(tmp_path_factory: pytest.TempPathFactory) -> ChartOutcome:
         )
         for k, mm in enumerate(RANGES_MM)
     ]
-    return measure_chart(images, plan(folder), columns=5, ranges_mm=RANGES_MM, each=1)
+    return measure_chart(images, plan(folder), columns=5, ranges_mm=RANGES_MM)
 
 
 @pytest.mark.slow
@@ -172,10 +173,10 @@ def test_ranges_give_the_focus_of_each_place_with_its_sign(
         truth = medial_um(y, x) + half * np.array([-1, 1])
         apart += pulls([of.of("S"), of.of("T")], truth)
     off = pulls(medial, np.array([medial_um(*of.height_mm) for of in foci]))
-    assert np.std(off) < 2
-    assert abs(np.mean(off)) < 1.5
+    assert np.std(off) < 2  # 1.06 measured
+    assert abs(np.mean(off)) < 0.7  # 0.34
     assert max(map(abs, apart)) < 4
-    assert max(of.std for of in medial) < 0.7  # um, 0.34 measured
+    assert max(of.std for of in medial) < 0.58  # um, 0.29 measured
 
 
 @pytest.mark.slow
@@ -195,7 +196,7 @@ def test_the_sensors_tilt_and_the_curvatures_of_three_surfaces_are_recovered(
             assert abs(number.value - value) < 3 * number.std, (kind, name)
         assert of.chi2_per_freedom < 3
     assert set(surfaces) == {"medial", "S", "T"}
-    assert surfaces["medial"].number("tilt_rows_um_per_mm").std < 0.4  # 0.2 measured
+    assert surfaces["medial"].number("tilt_rows_um_per_mm").std < 0.3  # 0.15 measured
 
 
 @pytest.mark.slow
@@ -222,6 +223,30 @@ def test_the_command_prints_places_and_writes_figures(
     assert {of["sign_open"] for of in answer["focus"]["M"]} == {True}
     for name in ("profiles", "map"):
         assert (tmp_path / "out" / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_board_of_small_squares_gives_distortion_and_pose_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    side, turn = 32, np.radians(7.0)
+    y, x = np.mgrid[: 4 * 360, : 4 * 480] / 4
+    u = x * np.cos(turn) + y * np.sin(turn)
+    v = y * np.cos(turn) - x * np.sin(turn)
+    bright = (np.floor(u / side) + np.floor(v / side)) % 2
+    pixels = cv2.resize(bright, (480, 360), interpolation=cv2.INTER_AREA)
+    mean = cv2.GaussianBlur(1000 + 5000 * pixels, (0, 0), 1.0)
+    image = write_scene(tmp_path / "a.tif", [np.asarray(mean, float)])
+    words = ["chart", str(image), str(plan(tmp_path)), "--out", str(tmp_path / "out")]
+    assert run([*words, "--json"]) == 0
+    out = capsys.readouterr()
+    answer = json.loads(out.out)
+    assert "squares are 32 pixels wide, and edges need 44" in out.err
+    assert answer["chart"] == "checkerboard"
+    assert (answer["edges"], answer["places"], answer["focus"]) == ([], [], {})
+    distortion = answer["geometry"]["distortion"]
+    assert abs(distortion["value"]) < 4 * distortion["std"]
+    assert answer["geometry"]["poses"][0]["points"] > 80
+    assert not answer["geometry"]["poses"][0]["bent"]
 
 
 @pytest.mark.parametrize(

@@ -69,8 +69,9 @@ def test_clipped_edges_are_left_out_and_counted() -> None:
 @pytest.mark.parametrize(
     ("counts", "words"),
     [
-        (np.full((300, 400), 3000.0), "0 are cut by the frame and 0 clipped"),
-        (drawn((2 * PATCH, 2 * PATCH), bright=20000.0), "no chart was found"),
+        (np.full((300, 400), 3000.0), "no chart was found"),
+        (drawn((2 * PATCH, 2 * PATCH)), "6 or more slanted squares"),
+        (drawn((2 * PATCH, 3 * PATCH), bright=20000.0), "slanted squares.*24 are clipped"),
     ],
 )
 def test_a_chart_that_is_not_found_is_one_line(counts: Floats, words: str) -> None:
@@ -87,7 +88,7 @@ def test_edges_beyond_the_requested_number_are_spare() -> None:
 
 
 def test_a_checkerboards_edges_end_before_its_corners() -> None:
-    found = chart_edges(channel(drawn((3 * PATCH, 3 * PATCH), checkerboard)), (3, 3), 9)
+    found = chart_edges(channel(drawn((4 * PATCH, 5 * PATCH), checkerboard)), (3, 3), 9)
     places = [p.found for every in found.places.values() for p in every if p.found]
     assert len(places) >= 20
     turn = np.radians(5.0)

@@ -200,7 +200,9 @@ SAMPLES = [
         "edge-bowed", None, {"at": "1,2,30,40"}, box=[1, 2, 30, 40], channel="G", bow_px=1.2
     ),
     found("edges-without-common-wavefront"),
-    found("chart-edges-left-out", cut=5, clipped=2),
+    found("chart-edges-left-out", cut=5, clipped=2, uneven=3),
+    found("chart-squares-small", side_px=34.1, least_px=44.0),
+    found("chart-not-flat", number=1, rms_px=0.84),
     found("chart-edges-not-fitted", count=3, why="it holds no edge"),
     found(
         "chart-edges-blurred-otherwise",

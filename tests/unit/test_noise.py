@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from labkit.errors import DataError
 from labkit.noise.emva import ChannelNoise, camera_model
 from labkit.noise.levels import read_series
 from labkit.session.frame import Frame
-from labkit.types import no_progress
+from labkit.types import Floats, no_progress
 from labkit.uncertain import Uncertain
 from tests.ladders import EXPOSURES_S, SIDE, Ladder, TrueCamera, ladder
 
@@ -167,7 +168,74 @@ def test_copies_are_no_pair(tmp_path: Path) -> None:
 def test_frames_without_an_exposure_time_are_named(tmp_path: Path) -> None:
     series = ladder(tmp_path, 1, EXPOSURES_S[:5])
     message = refusal(series, series.without("exposure_s"))
-    assert "states no exposure time: add a column exposure_s" in message
+    assert message.startswith("20 of 20 flats and darks state no exposure time, such as ")
+    assert "add a column exposure_s" in message
+
+
+@pytest.mark.parametrize(
+    ("filtered", "sum_of_correlations"),
+    [
+        (lambda counts: ndimage.median_filter(counts, 3), 6.5),  # a star eater
+        (lambda counts: ndimage.uniform_filter(counts, 2), 3.0),
+    ],
+)
+def test_noise_that_neighbours_share_is_named_and_in_the_errors(
+    tmp_path: Path, filtered: Callable[[Floats], Floats], sum_of_correlations: float
+) -> None:
+    found = model(ladder(tmp_path, 8, filtered=filtered))
+    gain = found.gain_counts_per_e
+    assert abs(gain.value - TRUE.gain) < gain.std  # 0.05 and 0.6 measured
+    assert found.notes[0].startswith("neighbouring pixels share noise, their correlations")
+    assert "turn noise reduction off" in found.notes[0]
+    shared = float(found.notes[0].split("sum to ")[1].split(" ")[0])
+    assert shared == pytest.approx(sum_of_correlations, abs=0.6)  # 0.04 and 0.3 measured
+
+
+def test_what_rows_share_is_no_filter(tmp_path: Path) -> None:
+    rng = np.random.default_rng(9)
+    banded = lambda counts: counts + rng.normal(0, 1.5, (SIDE, 1))  # noqa: E731
+    found = model(ladder(tmp_path, 9, filtered=banded))
+    assert found.notes == ()
+
+
+def test_flats_full_below_the_white_level_are_no_copies(tmp_path: Path) -> None:
+    full = 2600
+    found = model(ladder(tmp_path, 10, filtered=lambda of: np.minimum(of, full)))
+    assert found.notes == (
+        "the flats pile up at 2600 counts, below the white level of 4095: saturation is there; correct sensor.white_level",
+    )
+    assert abs(found.gain_counts_per_e.value - TRUE.gain) < 3 * found.gain_counts_per_e.std
+    end = (full - TRUE.black) / TRUE.gain
+    assert abs(found.saturation_e.value - (end - np.sqrt(end))) < 3 * found.saturation_e.std
+
+
+def test_darks_clipped_at_zero_leave_the_read_noise_to_the_flats(tmp_path: Path) -> None:
+    camera = TrueCamera(black=0.0, dsnu_e=0.0, dark_e_per_s=0.0)
+    found = model(ladder(tmp_path, 11, camera=camera))
+    assert any("darks are clipped at 0 counts" in note for note in found.notes)
+    read = found.read_noise_counts
+    assert abs(read.value - READ_COUNTS) < 3 * read.std
+    assert abs(found.gain_counts_per_e.value - TRUE.gain) < 3 * found.gain_counts_per_e.std
+
+
+def test_one_exposure_time_is_named_with_what_is_missing(tmp_path: Path) -> None:
+    message = refusal(ladder(tmp_path, 1, (0.2,), frames=8))
+    assert "all flats have one exposure time, 0.2 s, and one light" in message
+    dimmed = Ladder(TRUE, tmp_path, np.random.default_rng(12))
+    for light in np.linspace(0.05, 1, 12).tolist():
+        for _ in range(2):
+            dimmed.take("dark", 0.3)
+            dimmed.take("flat", 0.3, light=light)
+    message = refusal(dimmed, dimmed.without("photons"))
+    assert "one exposure time, 0.3 s, but means of" in message
+    assert "no column photons tells their light apart" in message
+
+
+def test_a_tone_curve_is_named(tmp_path: Path) -> None:
+    curve = lambda counts: 4095 * (counts / 4095) ** (1 / 2.2)  # noqa: E731
+    message = refusal(ladder(tmp_path, 13, filtered=curve))
+    assert "noise falls where light grows" in message
+    assert "without a tone curve" in message
 
 
 def test_darks_of_other_times_are_taken_with_a_remark(tmp_path: Path) -> None:
