@@ -121,7 +121,7 @@ class Drawn:
         across = np.array([np.sin(self.angle), np.cos(self.angle)])
 
         def excess(f: float) -> float:
-            mask = np.exp(-2 * (np.pi * radius * f) ** 2)
+            mask = np.prod([_smoothed(part * f, radius) for part in across])
             moved = self.transfer(*(np.array([f]) * across[:, None]))
             sharp = float(1 + amount * (1 - mask))
             return float(abs(moved[0])) * sharp - 0.5
@@ -152,6 +152,13 @@ class Drawn:
         amount, radius = self.sharpening
         counts = counts + amount * (counts - gaussian_filter(counts, radius))
         return np.rint(counts + BLACK).clip(0, WHITE).astype(np.uint16)
+
+
+def _smoothed(frequency: float, radius: float) -> float:
+    """Return the transfer of `gaussian_filter` along an axis, of samples: it has the period of the pixels."""
+    at = np.arange(-int(4 * radius + 0.5), int(4 * radius + 0.5) + 1)
+    weight = np.exp(-(at**2) / (2 * radius**2))
+    return float(weight @ np.cos(2 * np.pi * frequency * at) / weight.sum())
 
 
 def said(drawn: Drawn, rng: np.random.Generator, folder: Path) -> tuple[float, str]:
