@@ -62,7 +62,7 @@ MOST_TREE_BYTES = 2**24
 """Of the rest of an answer."""
 
 MOST_PRINTED_BYTES = 2**20
-"""Of files that are written while a file is decoded: what libraries print is collected."""
+"""Of files written while a file is decoded: what libraries print is collected."""
 
 MOST_DESCRIPTORS = 128
 MOST_TEXT = 10_000

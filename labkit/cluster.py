@@ -79,7 +79,7 @@ def on_dask(address: str) -> Iterator[Executed]:
 def _silence() -> None:
     """Silence the loggers of distributed and of its futures: labkit reports their faults in one line.
 
-    Some have levels of their own, so each is named. A future that is cancelled after its
+    Some have levels of their own, so each is named. A future cancelled after its
     scheduler was lost logs a traceback.
     """
     for name in ("distributed", "distributed.client", "concurrent.futures"):

@@ -48,7 +48,7 @@ def write_atomically(path: Path, content: bytes) -> None:
 
 
 def write_private(path: Path, content: bytes) -> None:
-    """Write a file that only this user may read, in a folder that is made if missing, as `write_atomically` does."""
+    """Write a file that only this user may read, in a folder made if missing, as `write_atomically` does."""
     with writing(path.parent):
         path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
     with replacing(path, 0o600) as file:
@@ -99,7 +99,7 @@ def _lives(process: int) -> bool:
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Turn a system error in writing `path` into an InputError that names the path."""
+    """Turn a system error in writing `path` into an InputError naming the path."""
     try:
         yield
     except OSError as error:

@@ -248,7 +248,7 @@ def camera_part_found(
     gain: float | None,
     moves: Moves | None,
 ) -> Finding:
-    """Report a camera part that was added to the model although the plan does not state it.
+    """Report a camera part added to the model although the plan does not state it.
 
     Parameters
     ----------

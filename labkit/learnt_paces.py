@@ -18,9 +18,9 @@ from labkit.errors import InputError
 from labkit.files import state_folder, write_atomically
 from labkit.reading import read_bytes
 
-MOST_BYTES = 2**16
+MOST_STORE_BYTES = 2**16
 MOST_LEARNT = 12
-"""Last pieces of work of a kind that are kept: a machine's load changes."""
+"""Last pieces of work of a kind kept: a machine's load changes."""
 
 LIKE_SIZE = 3.0
 """Ratio of sizes up to which work is alike: the time of large work is not that of small work, times its size."""
@@ -74,7 +74,7 @@ class Paces:
         try:
             if self.file is None:
                 return {}
-            return _checked(json.loads(read_bytes(self.file, MOST_BYTES)))
+            return _checked(json.loads(read_bytes(self.file, MOST_STORE_BYTES)))
         except (OSError, ValueError, RecursionError):
             return {}
 

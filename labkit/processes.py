@@ -1,6 +1,6 @@
 """Processes of this machine as an executor.
 
-Each process has one task at a time, so a process that is killed costs its task alone: the
+Each process has one task at a time, so a process killed costs its task alone: the
 others work on, and a new process takes its place. A process watches its parent and ends
 with it, even if the parent is killed.
 """

@@ -64,7 +64,7 @@ def dump(value: object, kind: Any) -> bytes:
 
 
 def load(content: bytes, kind: Any) -> Any:
-    """Return the value in a file. Raises ValueError for a file that is damaged, or of another type."""
+    """Return the value in a file. Raises ValueError for a file damaged, or of another type."""
     arrays = npz.unpacked(content, lambda _: len(content))  # nothing is compressed
     try:
         return put_together(json.loads(arrays.pop(TREE).tobytes()), kind, arrays)

@@ -45,7 +45,7 @@ Look = tuple[float, Lit | None]
 
 
 def colours_of(settings: BenchSettings) -> NDArray[np.str_]:
-    """Return (rows, cols) name of the colour of each pixel that is rendered finely."""
+    """Return (rows, cols) name of the colour of each pixel rendered finely."""
     sensor = settings.sensor
     rows, cols = settings.fine_shape
     if sensor.pattern == "mono":

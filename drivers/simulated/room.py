@@ -1,7 +1,7 @@
 """The room around the simulated panel, as the camera sees it: coarse and out of focus, but for the panel's bezel.
 
 The room stays where it is in the frame; the panel moves on the rail. The room sends no
-light into the pixels that are rendered finely: diffraction brings less than 1e-4 of it over
+light into the pixels rendered finely: diffraction brings less than 1e-4 of it over
 a bezel of 300 µm on the sensor.
 """
 

@@ -33,7 +33,7 @@ from labkit.plan import Plan, RailSettings, TargetSpec
 from labkit.target_grid import whole_target
 
 FEWEST_SAMPLES, NEAR_HALO_UM = 4, 200.0
-"""To a pixel, and how far light is followed ring by ring, on a sensor that is rendered in tiles: less of each is less work."""
+"""To a pixel, and how far light is followed ring by ring, on a sensor rendered in tiles: less of each is less work."""
 
 S_PER_MEGAPIXEL = 25.0
 """Approximate time to render a colour mosaic in tiles on one core."""

@@ -78,7 +78,7 @@ def one_psf(rows: int, cols: int) -> Iterator[Patch]:
 
 
 def smooth(rows: int, cols: int, side_px: float) -> Iterator[Patch]:
-    """Yield patches of at most `side_px` a side, each with KNOTS x KNOTS PSFs that are interpolated between.
+    """Yield patches of at most `side_px` a side, each with KNOTS x KNOTS PSFs interpolated between.
 
     Neighbours share the PSFs of their common edge, so that the picture has no seams.
     """

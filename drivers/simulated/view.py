@@ -196,7 +196,7 @@ class View:
         return tuple(found)
 
     def _range_seen_mm(self, place: Pair) -> float:
-        """Return the range of the point of the panel that is seen at a place: a tilted panel has many."""
+        """Return the range of the point of the panel seen at a place: a tilted panel has many."""
         right, down = self.on_panel(np.array(place[1]), np.array(place[0]))
         depth_mm = self.to_pixels()[2] @ np.array([float(right), float(down), 1.0])
         return self.range_mm + float(depth_mm) - self.away_mm

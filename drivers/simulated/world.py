@@ -260,7 +260,7 @@ class TrueRoom:
     """A room around the panel, for a sensor much larger than the target.
 
     light: relative to an ordinary bright room; target_px: place of the panel's centre, down
-    and right of the frame's; fine_px: rows and columns around it that are rendered finely,
+    and right of the frame's; fine_px: rows and columns around it rendered finely,
     even numbers; bezel_mm: height and width of the panel with its black bezel, which holds
     what these pixels see.
     """
@@ -304,7 +304,7 @@ class BenchSettings:
 
     @property
     def fine(self) -> tuple[slice, slice]:
-        """Rows and columns that are rendered finely: around the target in a room, else all."""
+        """Rows and columns rendered finely: around the target in a room, else all."""
         shape = self.sensor.rows, self.sensor.cols
         if self.room is None:
             return slice(0, shape[0]), slice(0, shape[1])
@@ -318,7 +318,7 @@ class BenchSettings:
 
     @property
     def fine_shape(self) -> tuple[int, int]:
-        """Numbers of rows and columns that are rendered finely."""
+        """Numbers of rows and columns rendered finely."""
         rows, cols = self.fine
         return rows.stop - rows.start, cols.stop - cols.start
 

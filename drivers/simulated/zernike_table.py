@@ -95,7 +95,7 @@ class ZernikeTable:
 
 
 def turned(waves: Mapping[int, float], angle: float) -> dict[int, float]:
-    """Return the modes of a wavefront that is turned by an angle, radians, from right towards down."""
+    """Return the modes of a wavefront turned by an angle, radians, from right towards down."""
     of_order: dict[tuple[int, int], complex] = {}
     for j, amount in waves.items():
         n, m = noll_to_nm(j)

@@ -99,7 +99,7 @@ class Guard:
 
 
 class Connection(H11Protocol):
-    """A connection that is closed unless it shows the token soon."""
+    """A connection closed unless it shows the token soon."""
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Accept an unknown connection, and close the oldest if there are too many."""

@@ -49,7 +49,7 @@ MOST_MESSAGE_BYTES = 2048
 """Of a message from a page, and (eight times as many) of a request's head."""
 
 MOST_REFUSED_BYTES = 32 * MOST_MESSAGE_BYTES
-"""Of a message that is refused: past this, uvicorn drops the connection before a page can have read why."""
+"""Of a message refused: past this, uvicorn drops the connection before a page can have read why."""
 
 MOST_MONITORS = 32
 AT_MOST_EVERY_S, AT_LEAST_EVERY_S = 0.2, 2.0

@@ -44,7 +44,7 @@ SURROUND = 1.2
 """Side of the frame, in sides of the target."""
 
 WIDEST_PX = 160
-"""Side of the target in the frame that is computed; errors of larger ones, up to those that are fitted whole, go as 1/size."""
+"""Side of the target in the frame computed; errors of larger ones, up to those that are fitted whole, go as 1/size."""
 
 
 @dataclass(frozen=True)

@@ -28,10 +28,10 @@ from labkit.types import Floats
 from labkit.uncertain import Uncertain
 
 STEP_WAVES = 1.0
-"""RMS defocus between ranges that are proposed."""
+"""RMS defocus between ranges proposed."""
 
 CLOSEST = 3.0
-"""Least range that is proposed, in focal lengths: nearer ones are macro photography."""
+"""Least range proposed, in focal lengths: nearer ones are macro photography."""
 
 CLEARLY = 0.8
 """Share of the largest error that determines the pupil magnification: proposed ranges stay below this share."""

@@ -139,7 +139,7 @@ def _covariance(
 
 
 def _stated(lens: LensFit, slopes: Floats) -> Iterator[tuple[str, StatedNumber]]:
-    """Yield the numbers that were known before, with the changes (n,) of the common numbers by one standard error of each.
+    """Yield the numbers known before, with the changes (n,) of the common numbers by one standard error of each.
 
     For a linear estimate with a prior of variance s² the estimate follows the prior's mean by C / s².
     """

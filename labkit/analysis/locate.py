@@ -30,7 +30,7 @@ from labkit.target_grid import open_grid
 from labkit.types import Floats, Progress
 
 Corners = Mapping[Tile | None, Floats]
-"""Corners (4, 2) in pixels of every tile that is found in a photograph. A whole target has one tile, its place or None."""
+"""Corners (4, 2) in pixels of every tile found in a photograph. A whole target has one tile, its place or None."""
 
 MOST_OF_SURROUND = 0.9
 """Share of what is beside a target that contradicts the stated surround: a room beside a narrow rim is not as even."""
@@ -136,7 +136,7 @@ def locate(
 
 
 def _write_picture(photograph: Photograph, path: Path, error: TargetError) -> str:
-    """Write a picture of the places that were looked at beside the session's test photographs; return where it is."""
+    """Write a picture of the places looked at beside the session's test photographs; return where it is."""
     seen = path.parents[1] / PREFLIGHT_FOLDER / f"{path.stem}_seen.jpg"
     try:
         seen.parent.mkdir(exist_ok=True)

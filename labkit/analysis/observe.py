@@ -68,7 +68,7 @@ LEAST_BRIGHT_SHARE = 0.5
 
 @dataclass(frozen=True)
 class _Shot:
-    """The part of a photograph that shows the target, with the corners (in the frame) of every tile that was found."""
+    """The part of a photograph that shows the target, with the corners (in the frame) of every tile found."""
 
     frame: Frame
     mosaic: Photograph
@@ -77,11 +77,11 @@ class _Shot:
 
 @dataclass(frozen=True)
 class _Region:
-    """A part of the photographs that is fitted.
+    """A part of the photographs fitted.
 
     Attributes
     ----------
-    tile : None for a target that is fitted alone
+    tile : None for a target fitted alone
     corners_px : (4, 2) of the target in each photograph
     cut : of the photographs
     part : of the target; None for the whole
@@ -238,7 +238,7 @@ def selected(
 def _parts(
     shots: Sequence[_Shot], plan: Plan, target: Target
 ) -> tuple[list[TargetPart], list[Finding]]:
-    """Return the parts of a single target that are fitted at all ranges, none if it is fitted whole, and a finding about them.
+    """Return the parts of a single target fitted at all ranges, none if it is fitted whole, and a finding about them.
 
     shots : of the nearest range
     """

@@ -23,7 +23,7 @@ def is_surround_clean(
     noise: NoisePrior,
     rounding: Floats | float = 0.0,
 ) -> bool:
-    """Return whether pixels around a target see the surround that is stated, and nothing else.
+    """Return whether pixels around a target see the surround stated, and nothing else.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ from labkit.target import Target
 from labkit.types import Floats
 
 LARGEST_WHOLE_PX = 360.0
-"""Side of the largest target that is fitted whole unless the plan states tiles: one and a half tiles."""
+"""Side of the largest target fitted whole unless the plan states tiles: one and a half tiles."""
 
 TILE_PX = 200.0
 """Side of the tiles of a larger target: time grows with their area, and errors of a wavefront fall with the side alone."""
@@ -30,7 +30,7 @@ MOST_TILES_ALONG = 5
 """Along each side of the target: 25 places show an expansion of the fourth order over the field, with 15 terms."""
 
 LEAST_DETAIL = 0.1
-"""Of the finest tile's detail, in a tile that is fitted: errors are three times as large there, and the middle of a carpet is
+"""Of the finest tile's detail, in a tile fitted: errors are three times as large there, and the middle of a carpet is
 even."""
 
 LIKE_DETAIL = 0.8
@@ -47,11 +47,11 @@ Interval = tuple[float, float]
 
 @dataclass(frozen=True)
 class TargetPart:
-    """A rectangle on the target that is fitted.
+    """A rectangle on the target fitted.
 
     Attributes
     ----------
-    tile : (row, column); None for a part that is fitted alone
+    tile : (row, column); None for a part fitted alone
     y, x : ends of its rows and columns on the target, -1 to 1
     """
 
@@ -80,7 +80,7 @@ class TargetPart:
 def target_parts(
     corners: Sequence[Floats], field: FieldSettings, target: Target, shape: tuple[int, ...]
 ) -> list[TargetPart]:
-    """Return the parts of a single target that are fitted; none if the whole target is.
+    """Return the parts of a single target fitted; none if the whole target is.
 
     Parameters
     ----------

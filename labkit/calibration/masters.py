@@ -32,7 +32,7 @@ ILLUMINATION_SMOOTHING_PX = 16.0
 
 DISPLAY_DEPARTS = 0.1
 """Relative difference of a flat from the light on the target, continued, beyond which it does not show the display: a
-polynomial that is continued over a target's margin errs by a per cent or two, what is beside a display by far more."""
+polynomial continued over a target's margin errs by a per cent or two, what is beside a display by far more."""
 
 DISPLAY_ROUNDS = 4
 """Of continuing the light as far as the display was found: corners beside a turned target are far from it."""

@@ -30,7 +30,7 @@ WHITE_PER_READ_NOISE = 4000
 """Dynamic range of a usual pixel: the read noise where no dark shows it."""
 
 OUTLIER_PROBABILITY = 1e-6
-"""Pixels noisier than this leaves to chance are left out: particles, telegraph noise, a light that was switched."""
+"""Pixels noisier than this leaves to chance are left out: particles, telegraph noise, a light switched."""
 
 FLOOR_SHARE = 0.03
 """Without darks: prior standard deviation of the variance at no light, as a share of that in the brightest flats. One
@@ -184,6 +184,6 @@ def _median_factor(freedom: Floats) -> Floats:
 
 
 def _limit(freedom: Floats) -> Floats:
-    """Return the ratio of sample variance to mean that is exceeded with OUTLIER_PROBABILITY."""
+    """Return the ratio of sample variance to mean exceeded with OUTLIER_PROBABILITY."""
     few, which = np.unique(freedom, return_inverse=True)
     return np.asarray((chdtri(few, OUTLIER_PROBABILITY) / few)[which])

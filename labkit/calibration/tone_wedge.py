@@ -193,7 +193,7 @@ def _insides(
 
 
 def _refuse_unusable(seen: list[Floats]) -> None:
-    """Raise DataError for steps that are clipped, or whose dots are resolved.
+    """Raise DataError for steps clipped, or whose dots are resolved.
 
     seen: (pixels, planes) of each step
     """

@@ -130,7 +130,7 @@ def _with_results(entry: Entry, results: Results) -> Entry:
 
 
 def _numbers(results: Results) -> Iterator[tuple[Quantity, Uncertain]]:
-    """Yield the numbers that are kept; modes whose sign is open are not."""
+    """Yield the numbers kept; modes whose sign is open are not."""
     if results.lens is not None:
         yield ("focal_length_mm", ""), results.lens.focal_length
         yield ("f_number", ""), results.lens.f_number

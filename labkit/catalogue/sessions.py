@@ -26,8 +26,8 @@ def list_sessions(folder: Path | str = ".", progress: Progress = no_progress) ->
 
     Parameters
     ----------
-    folder : folder that the sessions' folders are in
-    progress : called with each session that is read
+    folder : folder of the sessions' folders
+    progress : called with each session read
 
     Returns
     -------
@@ -51,8 +51,8 @@ def rebuild_catalogue(
 
     Parameters
     ----------
-    folder : folder that the sessions' folders are in
-    progress : called with each session that is read
+    folder : folder of the sessions' folders
+    progress : called with each session read
 
     Raises
     ------
@@ -78,9 +78,9 @@ def lens_history(
     ----------
     lens : name, serial number, or a part of both together
     channel : name of the channel; None for green, or the first
-    folder : folder that the sessions' folders are in
+    folder : folder of the sessions' folders
     name : of the results
-    progress : called with each session that is read
+    progress : called with each session read
 
     Raises
     ------
@@ -133,7 +133,7 @@ def compare_readable(
 
     Returns
     -------
-    The comparisons, and the reason for each session or pair that was left out
+    The comparisons, and the reason for each session or pair left out
 
     Raises
     ------

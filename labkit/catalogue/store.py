@@ -58,9 +58,9 @@ def read_catalogue(
 
     Parameters
     ----------
-    folder : folder that the sessions' folders are in
+    folder : folder of the sessions' folders
     rebuild : whether to read all sessions again
-    progress : called with each session that is read
+    progress : called with each session read
 
     Raises
     ------

@@ -71,7 +71,7 @@ def _row(entry: Entry) -> list[str]:
 
 
 def _name_left_out(console: Console, entries: Iterable[Entry]) -> None:
-    """Name each session that is left out, with the reason."""
+    """Name each session left out, with the reason."""
     for entry in entries:
         if entry.problem:
             console.warn(f"{entry.folder} is left out: {entry.problem}")

@@ -76,7 +76,7 @@ class FoundRail:
 
 @dataclass(frozen=True, slots=True)
 class OpenPage:
-    """A page that is served now.
+    """A page served now.
 
     address: for a plan's display, empty for the operator's page; text: state of the page.
     """

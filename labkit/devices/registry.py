@@ -6,7 +6,7 @@ use their arguments without changing them. A callable of group `labkit.finders`,
 of its driver, lists the devices it finds: [(address, model), ...]; it raises DeviceError. A
 callable of `labkit.probes` names the controller at a serial port, given its path: a name or
 None; nothing moves, and it raises DeviceError. A callable of `labkit.pages` lists pages
-that are served now: [(address for a plan or "", URL, state), ...]. A lab adds a device by
+served now: [(address for a plan or "", URL, state), ...]. A lab adds a device by
 an entry point of its own package.
 """
 

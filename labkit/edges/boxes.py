@@ -89,7 +89,7 @@ class ChannelFrame:
         return replace(self.part, counts=counts, black=black).light
 
     def found_at(self, edge: FoundEdge) -> Place:
-        """Return the place of an edge that was found in the first plane, in samples."""
+        """Return the place of an edge found in the first plane, in samples."""
         found = edge.on(self.pixels.places[0], self.pixels.period)
         (rows, columns), (r0, c0, r1, c1) = self.part.shape, found.box
         # the last sample of a plane need not have a whole cell
@@ -139,7 +139,7 @@ class ChannelFrame:
         return Region(y[used], x[used], light[used], centre, frame)
 
     def planes(self, place: Place) -> tuple[Plane, ...]:
-        """Return a box's samples by plane, all of equal size, in lines along an edge that was found; none if a sample is
+        """Return a box's samples by plane, all of equal size, in lines along an edge found; none if a sample is
         clipped.
         """
         pixels = self.read(place)

@@ -27,7 +27,7 @@ from labkit.edges.edge_fit import (
 )
 from labkit.edges.region import (
     BOW_NUMBERS,
-    HIGHEST_ORDER,
+    MOST_BOW_ORDER,
     LIGHT_NUMBERS,
     LINE_NUMBERS,
     Edge,
@@ -99,7 +99,7 @@ class RoughEdge:
         covariance = inverse(information / np.outer(scale, scale))
         numbers = np.array(every.edge)[every.region.free] * scale[:-1]
         costs = {}
-        for order, even in product(range(1, HIGHEST_ORDER + 1), (True, False)):
+        for order, even in product(range(1, MOST_BOW_ORDER + 1), (True, False)):
             out = [*BOW_NUMBERS[order - 1 :], *(LIGHT_NUMBERS if even else ())]
             fall = 0.0
             if out:

@@ -16,8 +16,8 @@ from labkit.types import Bools, Floats, Indices
 
 LEAST_REGION_PIXELS = 60  # of a region: an edge and its noise are six numbers
 LINE_NUMBERS = 4  # numbers of a straight edge between even sides
-HIGHEST_ORDER = 5  # of the polynomial that is an edge's place
-BOW_NUMBERS = tuple(range(LINE_NUMBERS, LINE_NUMBERS + HIGHEST_ORDER - 1))
+MOST_BOW_ORDER = 5  # of the polynomial that is an edge's place
+BOW_NUMBERS = tuple(range(LINE_NUMBERS, LINE_NUMBERS + MOST_BOW_ORDER - 1))
 LIGHT_NUMBERS = tuple(range(BOW_NUMBERS[-1] + 1, BOW_NUMBERS[-1] + 4))
 BLUR_NUMBERS = tuple(range(LIGHT_NUMBERS[-1] + 1, LIGHT_NUMBERS[-1] + 1 + MOST_NUMBERS))
 SHAPE_STDS = np.array([10.0] * len(BOW_NUMBERS) + [1.0] * len(LIGHT_NUMBERS))
@@ -81,7 +81,7 @@ class Edge(NamedTuple):
     def departure(self) -> Floats:
         """(6,) coefficients of Legendre's series of the distance from the line by the place along it, half sizes."""
         bows = np.array(self[LINE_NUMBERS : LINE_NUMBERS + len(BOW_NUMBERS)])
-        constant = bows @ legendre.legval(0.0, np.eye(HIGHEST_ORDER + 1)[:, 2:])
+        constant = bows @ legendre.legval(0.0, np.eye(MOST_BOW_ORDER + 1)[:, 2:])
         return np.concatenate([[-constant, 0.0], bows])
 
 
@@ -261,7 +261,7 @@ def blurred_slopes(
     )
     slopes = [by_angle, -line / at.longer, (1 - step) * at.light, step * at.light]
     for order in range(2, region.order + 1):
-        series = np.eye(HIGHEST_ORDER + 1)[order]
+        series = np.eye(MOST_BOW_ORDER + 1)[order]
         bow = legendre.legval(t, series) - legendre.legval(0.0, series)
         slope = legendre.legval(t, legendre.legder(series)) / region.half_px
         slopes.append(-line / at.longer * (bow + at.across * leaning * slope))

@@ -28,7 +28,7 @@ class Data:
     ----------
     model : has the exposures, and the polynomials of the field
     values : (n, values)
-    precision : (n, values, values) inverse covariances; 0 for observations that are left out
+    precision : (n, values, values) inverse covariances; 0 for observations left out
     """
 
     model: LensModel

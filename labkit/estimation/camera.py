@@ -30,7 +30,7 @@ ALIKE_BLURS = ("low_pass_filter", "diffusion", "smear", "low_pass_filter_turned"
 """Parts with the same blur to first order, the most common first."""
 
 TESTED_IN_PLACE = {"uneven_rim": "cats_eye", "uneven_field": "vignetting"}
-"""Parts that are looked for in place of others, whose likelihood is not regular where they are absent."""
+"""Parts looked for in place of others, whose likelihood is not regular where they are absent."""
 
 Parts = frozenset[str]
 Refit = Callable[[Sequence[int], Parts], Mapping[int, Optimum]]
@@ -312,7 +312,7 @@ class CameraChoice:
     wanted : parts that the plan requests to fit, which always stay
     channels : channel of each observation
     tried : parts tested for, with their gains
-    missing : the significant part that was refused because it explains too little of the residuals, or is unphysical
+    missing : the significant part refused because it explains too little of the residuals, or is unphysical
     with_missing : fits with the missing part
     compared : models without a diaphragm at whose optima all numbers of blades were compared
     """

@@ -47,7 +47,7 @@ def confirmed(session: Estimate, index: int) -> bool:
 
 
 def with_model_error(session: Estimate) -> Estimate:
-    """Include the bias due to missing parts, or else what modes that are left out may move, in the errors of the lens.
+    """Include the bias due to missing parts, or else what modes left out may move, in the errors of the lens.
 
     The bias is the change of the lens to that of the same fits with the parts, under the same laws. A disagreement of the
     fits that the parts explain does not raise the Birge ratio.

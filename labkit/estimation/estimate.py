@@ -96,7 +96,7 @@ class Estimate:
         return self.lens.model.rows[self.fits[k].observation.key]
 
     def with_stated_camera(self, k: int) -> LocalFit | None:
-        """Return fit k without the parts that were added; None if no part was, or if memory was too short for some fits."""
+        """Return fit k without the parts added; None if no part was, or if memory was too short for some fits."""
         plain = self.stated_camera
         return None if plain is None or len(plain.fits) != len(self.fits) else plain.fits[k]
 

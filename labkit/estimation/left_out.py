@@ -1,7 +1,7 @@
 """Modes that a session has not adopted: what they probably are, and how far they move its lens.
 
 A session adopts higher modes only where they gain more than absent modes do by chance. Weaker ones remain in the photographs,
-and the modes that are fitted take up a share of them. Beyond modes that were adopted the next ones are not much weaker, so they
+and the modes fitted take up a share of them. Beyond modes adopted the next ones are not much weaker, so they
 become weak modes of the lens. Elsewhere they are left out, and the score tests that decided about them tell their effect: the
 likeliest numbers, under a normal prior whose variance has the largest marginal likelihood (C. N. Morris, J. Am. Stat. Assoc.
 78, 47 (1983)), and what each of them moves in a fit. Modes that chance explains have no variance, and move nothing.
@@ -31,7 +31,7 @@ LOG_VARIANCES = -14.0, 14.0
 def by_modes_left_out(session: Estimate) -> tuple[Point, ...]:
     """Return changes of a session's lens by the modes that it leaves out, each by one standard deviation of them.
 
-    There are none where chance explains the tests. The lens is that of the members that were tested: their tests alone tell
+    There are none where chance explains the tests. The lens is that of the members tested: their tests alone tell
     what the modes move.
     """
     lens, tests = session.lens, _tests(session)
@@ -97,7 +97,7 @@ def _summed(tests: Mapping[int, ScoreTest]) -> ScoreTest:
 
 
 def _strength(fits: Sequence[Measured]) -> float:
-    """Return the variance of a number of the highest modes that were adopted, waves squared; 0 where none were."""
+    """Return the variance of a number of the highest modes adopted, waves squared; 0 where none were."""
     groups = [group for group in MODE_GROUPS.values() if group.last in fits[0].noll]
     if not groups:
         return 0.0

@@ -1,6 +1,6 @@
 """How well a plan's numbers are known: wavelengths that are exact, numbers that are far off, and errors that allow for both.
 
-A wavelength that is stated without an error has a typical one, or that of rounding. Photographs tell which holds.
+A wavelength stated without an error has a typical one, or that of rounding. Photographs tell which holds.
 
 A mistake is a stated number that is wrong beyond its standard error: another aperture, another colour, another target. The
 photographs determine the cone times the wavelength over the pixel pitch, the size of the target over the pixel pitch, and
@@ -62,7 +62,7 @@ def exact_light(lens: LensFit) -> LensFit:
 def models(lens: LensFit, explained: bool = True) -> list[tuple[float, LensFit]]:
     """Return probability and estimate of all models, the most probable first.
 
-    Wavelengths that are stated without errors are as likely to be exact as they are to have the usual errors; mistakes are
+    Wavelengths stated without errors are as likely to be exact as they are to have the usual errors; mistakes are
     rare. The fits of a field's tiles are not asked for mistakes. Differences of evidence are divided by the square of the
     Birge ratio: misfits of all models do not count as evidence.
 

@@ -355,7 +355,7 @@ def _joint_plausibility(ends: Mapping[int, Optimum]) -> float:
 def _plausibility(end: Optimum) -> float:
     """Return the log-likelihood of an optimum with its modes' Gaussian prior, whose variance is the likeliest.
 
-    A pupil that is cut on the wrong side can nearly be made up for by a wavefront several times as large.
+    A pupil cut on the wrong side can nearly be made up for by a wavefront several times as large.
     """
     modes = end.waves[1:]
     size = float(np.linalg.norm(modes)) if modes.size else 1.0

@@ -57,7 +57,7 @@ class Searches:
     fitted : places of observations that have a fit
     lost : by label, the reason why a search was lost
     made : number of completed searches
-    later : number of steps that are known to follow the session's first fits; None if that depends on the searches
+    later : number of steps known to follow the session's first fits; None if that depends on the searches
     """
 
     observations: list[Observation]

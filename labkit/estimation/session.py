@@ -89,7 +89,7 @@ class _Loop:
     patience_s : processor time of one search
     found : optima of each observation, with the present parts in the model
     parts : camera parts and groups of modes in the model that the plan does not state
-    anchors : observations that were searched from nothing
+    anchors : observations searched from nothing
     starts : predictions from which each observation was climbed with the present parts
     expanded : observations whose likelihood was expanded about a prediction, with the parts in the model then
     deep : whether a search without limit was made

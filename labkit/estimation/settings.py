@@ -22,7 +22,7 @@ class Settings:
     """Defocus values of a sweep, at the light's own wavelength: each less than twice the value before, or the sweep would step
     over an optimum; the twin covers negative values."""
     tried: int = 3
-    """Number of best items of a ranked list that are tried: values of a sweep, which included the right value on every session;
+    """Number of best items of a ranked list tried: values of a sweep, which included the right value on every session;
     fits with the most significant camera part, before all are refitted with it; predictions of one wavefront."""
     plausible_share: float = 0.005
     """Largest share of a sweep's excess variance that right optima leave in part of the band."""
@@ -93,7 +93,7 @@ class Settings:
     tilt_draws: int = 200
     """Number of random poses to estimate the error of a tilt to 5 %."""
     rounded_light: float = 5e-4
-    """Relative error of an exact wavelength that is stated to the nanometre: 0.29 nm of 580."""
+    """Relative error of an exact wavelength stated to the nanometre: 0.29 nm of 580."""
     exact: float = 1e-6
     """Relative error of exact numbers: no photograph measures a number so precisely."""
 
@@ -137,7 +137,7 @@ class Settings:
     colour_modes_std: float = 0.1
     """Difference of modes between a colour and all colours: light passes the same glass."""
     field_order: int = 4
-    """Largest radial order of the field's expansion that is tried unless the plan states one: a commercial lens's modes leave
+    """Largest radial order of the field's expansion tried unless the plan states one: a commercial lens's modes leave
     0.025 of 0.9 waves RMS beyond a polynomial of that degree."""
     field_waves: float = 0.3
     """Standard deviation of a mode's change over the field before the session: fast lenses have as much at the corners."""

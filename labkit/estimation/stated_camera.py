@@ -1,4 +1,4 @@
-"""A session without the camera parts that were adopted: what the camera would give as the plan states it."""
+"""A session without the camera parts adopted: what the camera would give as the plan states it."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from labkit.types import Floats
 
 @dataclass(frozen=True, slots=True)
 class StrayPixel:
-    """A pixel that is left out.
+    """A pixel left out.
 
     Attributes
     ----------

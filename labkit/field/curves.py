@@ -64,7 +64,7 @@ class Profile:
 def usable_frequencies(
     model: FieldModel, channel: str, wanted_per_mm: Sequence[float] = USUAL_PER_MM
 ) -> tuple[Floats, tuple[str, ...]]:
-    """Return the frequencies (f,) that lens and sensor pass, and a line for each that is left out."""
+    """Return the frequencies (f,) that lens and sensor pass, and a line for each left out."""
     wavelength_um = 1e-3 * model.wavelengths_nm[model.channels.index(channel)]
     most = {
         "cutoff of the lens": 1e3 / (wavelength_um * model.f_number),

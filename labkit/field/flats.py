@@ -46,7 +46,7 @@ def illumination(
 ) -> dict[str, RelativeIllumination]:
     """Return the light over the frame of each channel that the flats light enough; empty for pictures in colours.
 
-    Of photographs that are read one by one, one is in memory at a time.
+    Of photographs read one by one, one is in memory at a time.
     """
     light, pattern = _mean_light(flats)
     if light is None or pattern == IN_COLOURS:

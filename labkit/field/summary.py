@@ -97,7 +97,7 @@ class FieldSummary:
     covered : shares of the frame's height and width between the tiles' outermost edges
     sign_open : whether tilt, curvature, astigmatism and focus may all have the other sign,
         as from one range; screws are then left out
-    notes : frequencies that are left out, an open sign, tiles out of place, a bent target,
+    notes : frequencies left out, an open sign, tiles out of place, a bent target,
         what is unknown of tilts
     """
 

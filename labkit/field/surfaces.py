@@ -4,7 +4,7 @@ Every number is a focus error of the sensor in um: positive where the sensor lie
 image, farther from the lens.
 
 Along a direction x of the pupil, defocus and astigmatism make W = x² (2 √3 c4 + √6 c), c the
-astigmatism towards x: Noll 6 cos 2φ + Noll 5 sin 2φ. Light that is resolved along x is
+astigmatism towards x: Noll 6 cos 2φ + Noll 5 sin 2φ. Light resolved along x is
 sharp where the bracket is zero, at c4 = -c / √2. So tangential focus (details along the
 field's radius) has c4 + c / √2, sagittal focus (across) c4 - c / √2, medial focus c4.
 """

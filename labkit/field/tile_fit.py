@@ -76,7 +76,7 @@ class TileFit:
     Parameters
     ----------
     model : whose numbers
-    fitted : (size,) numbers that were fitted
+    fitted : (size,) numbers fitted
     numbers, covariance : (size,), (size, size), with the residuals' scale in the latter; 0 where not fitted
     pulls : (n, 6) residuals of the tiles' middles and linear maps, in standard errors, independent but for the fit
     residual_px : (n, 8) corners as observed less those of the model

@@ -1,7 +1,7 @@
 """Fields of several sessions: a screw turned between two of them, or the lens turned on its mount.
 
 A session's tilt is the camera's, without the target's tilt, where the places of the target's
-tiles show the tilt: a target that is tilted differently in the second session moves nothing.
+tiles show the tilt: a target tilted differently in the second session moves nothing.
 """
 
 from __future__ import annotations

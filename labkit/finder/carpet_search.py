@@ -33,10 +33,10 @@ LEAST_SPOT = 0.6
 """Least correlation with the spot's kernel. Carpets have 0.74 to 0.88, in and out of focus, in 80 drawn rooms."""
 
 ROWS_OF_SPOTS = 128
-"""Rows of a picture that are correlated with the spot's kernel at once."""
+"""Rows of a picture correlated with the spot's kernel at once."""
 
 MOST_SPOTS = 1000
-"""Brightest spots of a scale that are looked at. Carpets were among the first 250."""
+"""Brightest spots of a scale looked at. Carpets were among the first 250."""
 
 SCALE_STEP = 2**0.25
 """From one scale to the next: a carpet is within 9 % of one of them."""
@@ -51,13 +51,13 @@ EVEN_DEVIATION = 0.01
 """Deviation of what is compared, relative to the whole window's, below which it is taken for even."""
 
 COMPARED_SHARE = 0.94
-"""Part of a carpet's side that is compared: anything may be beside it."""
+"""Part of a carpet's side compared: anything may be beside it."""
 
 MOST_ALIGNED, BATCH = 500, 100
-"""Likeliest places that are aligned, and how many at once: no more follow where a carpet is clear among them."""
+"""Likeliest places aligned, and how many at once: no more follow where a carpet is clear among them."""
 
 LEAST_LIKENESS, ALWAYS_ALIGNED = 0.7, 16
-"""Least likeness of a place that is aligned, and the number that are whatever it is: a search in vain shows where it looked.
+"""Least likeness of a place aligned, and the number that are whatever it is: a search in vain shows where it looked.
 Of 110 carpets of 22 pixels to 0.9 of the frame none had less than 0.86; of the 500 likeliest places of a room 90 had 0.7."""
 
 FINE_SIDE, FINE_WINDOW, FINE_BLURS = 40, 64, (0.8, 1.6, 3.2)
@@ -127,8 +127,8 @@ def likely_carpets(
     ----------
     picture : the photograph
     target : the carpet, as `is_carpet` knows it
-    least_px, most_px : sides of the smallest and the largest carpet that is searched for
-    most : number of likely places that are aligned
+    least_px, most_px : sides of the smallest and the largest carpet searched for
+    most : number of likely places aligned
     """
     bank = _Bank(target)
     spots = [_spots(picture, at, bank) for at in _scales(picture, least_px, most_px)]
@@ -274,7 +274,7 @@ class _Bank:
 
     @cached_property
     def _fine(self) -> tuple[Bools, list[Singles], Singles]:
-        """Mask and blurred carpets of a window of FINE_WINDOW, and the carpet that is aligned, without its rim."""
+        """Mask and blurred carpets of a window of FINE_WINDOW, and the carpet aligned, without its rim."""
         mask, blurred = self._template(FINE_SIDE, 0.0, FINE_BLURS, FINE_WINDOW)
         rim = (FINE_WINDOW - FINE_SIDE) // 2 + 1
         _, (aligned,) = self._template(FINE_SIDE, 0.0, (ALIGNED_BLUR,), FINE_WINDOW)
@@ -312,7 +312,7 @@ class _Bank:
 
 
 UPRIGHT_SIDE = 162
-"""Samples across a carpet that is drawn once, and turned and shrunk from then on."""
+"""Samples across a carpet drawn once, and turned and shrunk from then on."""
 
 
 def _upright(target: Target) -> Singles:

@@ -14,7 +14,7 @@ from labkit.photographs.photograph import Cut
 from labkit.types import Bools, Floats
 
 MARGIN = 0.06
-"""Surround that is kept around the target for the ambient light and the halo, in sizes of the target."""
+"""Surround kept around the target for the ambient light and the halo, in sizes of the target."""
 
 MARGIN_PX = 10
 """The same, at least."""
@@ -39,13 +39,13 @@ over the target, so does what a printed black reflects."""
 
 LIGHT_DEGREE, HALO_STDS = 2, (0.5, 1.0, 2.0)
 """What a clean surround is made of: a polynomial in row and column, and the target's light, blurred by these widths of the edge
-that is left out."""
+left out."""
 
 AVERAGED_SHARE, AVERAGED_PX = 0.04, 5
 """Side of the squares over which a surround is averaged, in sizes of the target; and the same at least."""
 
 LEAST_AROUND = 30
-"""Pixels of a surround that say something of it, and of a square that is averaged a tenth of these."""
+"""Pixels of a surround that say something of it, and of a square averaged a tenth of these."""
 
 
 def cut_within(corners: Sequence[Floats], shape: tuple[int, ...]) -> Cut:
@@ -121,7 +121,7 @@ def surround_level(light: Floats, used: Bools, pose: Pose) -> float | None:
 
 
 def _edge_px(corners: Floats) -> int:
-    """Return the width of the blurred edge of a target, pixels: half of the margin that is kept."""
+    """Return the width of the blurred edge of a target, pixels: half of the margin kept."""
     return round(max(MARGIN_PX, MARGIN * float(np.ptp(corners, axis=0).max())) / 2)
 
 

@@ -46,7 +46,7 @@ LEAST_TARGET_SIDE_PX = 12.0
 The search looks for targets of 20 pixels and more; registration may shrink one by a third of that."""
 
 USUAL_PX, SMALLEST_PX = 48.0, 20.0
-"""Smallest side of a carpet that is searched for, and where none is found: a fit wants 60 pixels. In a frame of 24 million
+"""Smallest side of a carpet searched for, and where none is found: a fit wants 60 pixels. In a frame of 24 million
 pixels a search takes 0.5 s of a processor without the smallest, 1.4 s with them (`python -m benchmarks.rooms`)."""
 
 SMALLEST_FITTED_PX = 36.0
@@ -56,7 +56,7 @@ MOST_SHOWN = 6
 """Likely places that a picture of a search in vain shows."""
 
 MOST_REGISTERED = 8
-"""Likely places without a clear target that are looked at in the photograph's own pixels."""
+"""Likely places without a clear target looked at in the photograph's own pixels."""
 
 MOST_OUTSIDE = 0.05
 """Largest share of a target's side outside the frame, where the drawing is known and modelled."""
@@ -141,8 +141,8 @@ def likely_targets(
 class _Search:
     """The search for a target in a photograph.
 
-    best: agreement at the likeliest place that was looked at; likely: all those places, the likeliest first; complaints: why
-    targets that were found are none to fit.
+    best: agreement at the likeliest place looked at; likely: all those places, the likeliest first; complaints: why
+    targets found are none to fit.
     """
 
     picture: Picture
@@ -297,7 +297,7 @@ def contains(corners: Floats, other: Floats) -> bool:
 def right_scale(
     corners: Floats, target: Target, mm_per_pixel: float | None, slack: float = 1.3
 ) -> bool:
-    """Return whether a target's size agrees with the scale, if that is known."""
+    """Return whether a target's size agrees with the scale, if known."""
     if mm_per_pixel is None:
         return True
     ratio = (

@@ -128,7 +128,7 @@ def _found(picture: Picture, grid: TargetGrid, mm_per_pixel: float | None) -> La
 
 
 def _grown(picture: Picture, grid: TargetGrid, first: Floats) -> Lattice:
-    """Return all targets that are reached from a first one, neighbour by neighbour."""
+    """Return all targets reached from a first one, neighbour by neighbour."""
     lattice = Lattice({(0, 0): first})
     queue: deque[Place] = deque([(0, 0)])
     while queue:

@@ -2,7 +2,7 @@
 
 An other target with the same outline is found where the stated one is. Both are compared there, pixel by pixel, each through
 the kernel that suits it best: a sum of Gaussians of many widths. A kernel can blur detail away that the photograph lacks, so
-the target that is shown leaves no more unexplained than others do; where the lens or the pixels resolve the detail, it leaves
+the target shown leaves no more unexplained than others do; where the lens or the pixels resolve the detail, it leaves
 far less. Detail that they do not resolve cannot be told.
 """
 
@@ -29,17 +29,17 @@ HIGHEST_ORDER, ORDERS_OFF = 8, 2
 SHARP_KERNEL_PX, WIDE_KERNEL_PX = (0.35, 0.5, 0.7, 1.0), (1.4, 2.0, 2.8, 4.0, 5.6, 8.0)
 """Standard deviations of the Gaussians of a kernel, samples: from sharp to far out of focus."""
 
-LIGHT_DEGREE = 2
+OWN_LIGHT_DEGREE = 2
 """Degree of the polynomial in row and column by which the light, and haze, may differ over the target."""
 
 COMPARED_SIDE = 500
-"""Samples across a target that is compared: a larger picture is binned down to about this."""
+"""Samples across a target compared: a larger picture is binned down to about this."""
 
 DRAWN_FINER = 2.5
 """Samples of a drawn target along a sample of the picture."""
 
 INNER = 0.97
-"""Part of a target's side that is compared: anything may be beside it."""
+"""Part of a target's side compared: anything may be beside it."""
 
 CLEARLY_LESS = 0.5
 """Share of what the stated target leaves unexplained, below which another target is the one that is shown. In 57 photographs
@@ -148,7 +148,7 @@ def shown_in_place(picture: Picture, target: Target, corners: Floats) -> Other |
     Parameters
     ----------
     picture : the photograph
-    target : the target that is found
+    target : the target found
     corners : (4, 2) of it, to a fraction of a pixel
     """
     window = _Window.of(picture, corners)
@@ -231,9 +231,9 @@ def _blurred(image: Singles, std: float) -> Singles:
 
 
 def _polynomials(shape: tuple[int, ...]) -> list[Singles]:
-    """Return the products of powers of row and column up to LIGHT_DEGREE, constant first, over an image."""
+    """Return the products of powers of row and column up to OWN_LIGHT_DEGREE, constant first, over an image."""
     y, x = np.meshgrid(
         *(np.linspace(-1, 1, n, dtype=np.float32) for n in shape), indexing="ij"
     )
-    degrees = range(LIGHT_DEGREE + 1)
-    return [y**i * x**j for i in degrees for j in degrees if i + j <= LIGHT_DEGREE]
+    degrees = range(OWN_LIGHT_DEGREE + 1)
+    return [y**i * x**j for i in degrees for j in degrees if i + j <= OWN_LIGHT_DEGREE]

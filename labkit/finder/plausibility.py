@@ -30,7 +30,7 @@ CORNERS_PX = 2.0
 """Error of the sides of a found target, pixels, before a fit refines them."""
 
 STDS = 3.0
-"""Standard errors of stated numbers that are allowed."""
+"""Standard errors of stated numbers allowed."""
 
 FILTERS_NM = {"R": (570.0, 720.0), "G": (480.0, 600.0), "B": (380.0, 520.0)}
 """Light that the colours of filter arrays pass, broadly: light between two colours is in the bands of both."""
@@ -61,7 +61,7 @@ class _Size:
 def refuse_contradictions(
     sights: Sequence[Sight], plan: Plan, size_mm: tuple[float, float]
 ) -> None:
-    """Refuse sizes in the pictures that contradict the ranges, or the plan's numbers; and wavelengths that are exchanged.
+    """Refuse sizes in the pictures that contradict the ranges, or the plan's numbers; and wavelengths exchanged.
 
     Parameters
     ----------

@@ -64,7 +64,7 @@ SURROUNDINGS = 0.3
 """Width of the surroundings in which a target may move as it is registered, in sides."""
 
 LEAST_DRAWN_PX = 24.0
-"""Side of the smallest target that is drawn: a rim of a few samples must leave something."""
+"""Side of the smallest target drawn: a rim of a few samples must leave something."""
 
 LIGHT_SIDE = 100
 """Samples across a target when its light is compared with another one's."""

@@ -27,7 +27,7 @@ TILTS_DEG = np.linspace(-45.0, 45.0, 22, endpoint=False)
 SIZE_STEP = 1.06
 
 SMALLEST_SIDE_PX = 48.0
-"""Length of the smallest target that is searched for where no scale is known."""
+"""Length of the smallest target searched for where no scale is known."""
 
 MOST_OF_AN_OCTAVE = 6
 """Places that each octave of sizes yields."""

@@ -146,7 +146,7 @@ def _by_marks(
     A way to read them counts if its likelihood is a thousand times that of all others together,
     and of no marks at all.
 
-    Raises TargetError for a grid that is turned or mirrored, or whose marks are of another grid.
+    Raises TargetError for a grid turned or mirrored, or whose marks are of another grid.
     """
     ways = sorted(_ways(seen, lattice, grid), key=lambda way: way.agreement, reverse=True)
     if not ways:

@@ -84,7 +84,7 @@ class Scene:
 
     @property
     def _seen_mm(self) -> Floats:
-        """(2, 2) least and greatest (y, x) on the target that are drawn: no farther out than the torus at the reference."""
+        """(2, 2) least and greatest (y, x) on the target drawn: no farther out than the torus at the reference."""
         sides = np.array(self.torus.pixels)
         low = -np.array(self.torus.margin) - STRAY * sides
         rows, columns = np.stack([low, low + (1 + 2 * STRAY) * sides], axis=1)
@@ -191,7 +191,7 @@ class _Raster:
     ) -> "tuple[_Raster, ...]":
         """Return rasters of functions sampled like a target of a size, at the reference's scale.
 
-        seen_mm: (2, 2) least and greatest (y, x) that are needed
+        seen_mm: (2, 2) least and greatest (y, x) needed
         """
         own_mm, centre_mm = np.array(reference.half_size_mm), np.array(reference.centre_mm)
         pixel_per_mm = float(np.max(reference.pixel_per_unit() / own_mm))

@@ -22,7 +22,7 @@ class Pose:
         row = (v0 + v1 y + v2 x) / (1 + v6 y + v7 x),    col = (v3 + v4 y + v5 x) / (1 + v6 y + v7 x).
 
     v0..v5 are in pixels (pixel centres at integers), v6 and v7 unitless. The rectangle is the target, or the part of a
-    large target that is fitted alone: numbers of a distant rectangle would be known together only.
+    large target fitted alone: numbers of a distant rectangle would be known together only.
 
     A lens that distorts bends the rectangle, which no homography does. The homography's place (y, x) then shows the target's
 

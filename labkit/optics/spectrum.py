@@ -18,7 +18,7 @@ KURTOSIS = 2.0
 """Fourth moment over the squared variance where only a width is known: 1.8 of a box, 3 of a Gaussian."""
 
 WIDEST_SPECTRUM = 0.08
-"""Largest standard deviation, relative, of a spectrum that is fitted; 40 nm of 500."""
+"""Largest standard deviation, relative, of a spectrum fitted; 40 nm of 500."""
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ SEARCHED_MIDDLE = 0.4
 """Extent of the searched white from the target's middle, as a share of the target's half side."""
 
 RIM_PX = 4
-"""Width of the rim of white areas that is left out, for edges are blurred."""
+"""Width of the rim of white areas left out, for edges are blurred."""
 
 LEAST_WHITE_PIXELS = 100
 """Least number of a channel's pixels in the white."""

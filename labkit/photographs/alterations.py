@@ -226,7 +226,7 @@ def _band(power: Floats, first: tuple[float, float], second: tuple[float, float]
 def _periodic(plane: Counts, places: NDArray[np.intp], compressed: bool) -> float:
     """Return how much the strength of differences in these tiles repeats from column to column, or from row to row.
 
-    Second differences of pixels that were made at the same places between old ones are as strong; where those places lie
+    Second differences of pixels made at the same places between old ones are as strong; where those places lie
     symmetrically, as in twice as many pixels, first differences decide.
     """
     strongest = 0.0

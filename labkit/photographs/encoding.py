@@ -76,7 +76,7 @@ def srgb(stored: Floats) -> Floats:
 def profile_curves(icc: bytes) -> tuple[Curve, ...]:
     """Return the tone curves of an ICC profile: three of R, G, B, or one of grey (ICC.1:2010, 10.5 and 10.15).
 
-    Raises InputError for a profile that has none, or that is damaged.
+    Raises InputError for a profile that has none, or damaged.
     """
     try:
         tags = _tags(icc)

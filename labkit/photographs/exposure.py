@@ -12,7 +12,7 @@ from labkit.photographs.photograph import WHOLE, Cut, Photograph
 from labkit.types import Counts, FrameKind
 
 SATURATED_SHARE = 0.2
-"""Share of a colour's bright pixels (above half scale) that are saturated if its white is clipped. An unclipped white
+"""Share of a colour's bright pixels (above half scale) saturated if its white is clipped. An unclipped white
 saturates isolated reflections only, a clipped white nearly all bright pixels."""
 
 SATURATED_LEAST = 5e-3
@@ -109,9 +109,9 @@ def is_constant(photograph: Photograph) -> bool:
 
 
 def _clipped_below(white: float, plane: Counts, smooth: Counts) -> str | None:
-    """Return why bright pixels that are clipped below the stated white level cannot be used; None if they are not clipped.
+    """Return why bright pixels clipped below the stated white level cannot be used; None if they are not clipped.
 
-    Sensors at low gain, a black level that was subtracted, and converters clip below the level that a file states.
+    Sensors at low gain, a black level subtracted, and converters clip below the level that a file states.
     """
     top = int(smooth.max())
     below = f"below the white level of {white:g}: give less light"

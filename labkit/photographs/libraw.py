@@ -19,7 +19,7 @@ from labkit.plan.sensor import MONO
 from labkit.reading import opened_photograph
 
 DAMAGE = ("data corrupted", "Unexpected end of file")
-"""LibRaw's messages about damaged files that are decoded nevertheless."""
+"""LibRaw's messages about damaged files decoded nevertheless."""
 
 
 @contextmanager

@@ -121,7 +121,7 @@ PGM = re.compile(
 )
 
 PNG_NEEDED = (b"IHDR", b"PLTE", b"IDAT", b"IEND")
-"""Chunks that are decoded: texts and profiles may swell to any size and are left out."""
+"""Chunks decoded: texts and profiles may swell to any size and are left out."""
 
 ADAM7 = (
     (0, 0, 8, 8),

@@ -48,7 +48,7 @@ class FieldSettings(Table):
     pitch_px: Annotated[Number, AfterValidator(Allowed(16, 100_000))] | None = None
     """Side of the tiles into which a single large target is cut, instead of `tiles`. Default: none."""
     part_px: Annotated[Rectangle | None, Takes(PART_WORDS)] = None
-    """Part of a single large target that is fitted alone, as one tile: [[top, left], [bottom, right]], row and column in the
+    """Part of a single large target fitted alone, as one tile: [[top, left], [bottom, right]], row and column in the
     photographs of the nearest range. Default: none."""
     order: (
         Annotated[Count, AfterValidator(Allowed(1, MOST_FIELD_ORDER, whole=True))] | None

@@ -48,7 +48,7 @@ class Plan(Table):
     """The facts of a session that the photographs do not state.
 
     `load`, `parse` and `from_tables` make a plan, `replace` changes a copy. All raise
-    PlanError, one line that names every wrong field.
+    PlanError, one line naming every wrong field.
 
     >>> plan = labkit.Plan.load("plan.toml").replace(fit={"zernike_noll": (4, 22)})
     """

@@ -31,7 +31,7 @@ class Table(BaseModel):
 
         files_needed: whether a target's file must exist.
 
-        Raises PlanError, one line that names every wrong field.
+        Raises PlanError, one line naming every wrong field.
         """
         tables = plain(tables)
         try:

@@ -37,9 +37,9 @@ QUOTED_OR_COMMENT = re.compile(
 BETWEEN_KEYS = re.compile(r"[=,\[\]{}\n]")
 
 MOST_CHARACTERS = 2**18
-"""Longest plan that is read: plans in use have some thousand characters."""
+"""Longest plan read: plans in use have some thousand characters."""
 
-MOST_BYTES = 4 * MOST_CHARACTERS
+MOST_PLAN_BYTES = 4 * MOST_CHARACTERS
 """Of a plan's file: a character takes up to four bytes."""
 
 Step = int | str
@@ -51,7 +51,7 @@ FOLLOWS = "default_factory_not_called"
 def read_text(path: Path) -> str:
     """Return a plan's text without a byte order mark. Raises PlanError for a missing file or one not in UTF-8."""
     try:
-        return reading.read_text(path, MOST_BYTES, follow_link=True)
+        return reading.read_text(path, MOST_PLAN_BYTES, follow_link=True)
     except IsADirectoryError as error:
         plan = path / "plan.toml"
         raise PlanError(
@@ -64,7 +64,7 @@ def read_text(path: Path) -> str:
 
 
 def read_tables(text: str) -> dict[str, Any]:
-    """Return the tables in TOML. Raises PlanError that names the line."""
+    """Return the tables in TOML. Raises PlanError naming the line."""
     text = text.removeprefix("\ufeff")
     if len(text) > MOST_CHARACTERS:
         raise PlanError(f"has more than {MOST_CHARACTERS} characters: no plan is as long")
@@ -197,7 +197,7 @@ SEPARATORS = str.maketrans(
 )
 """Minus, Arabic separators and apostrophes of any kind, as they are on a keyboard."""
 
-NUMBER = re.compile(r"([+-]?)(\d[\d., ']{0,40})")
+DIGITS_WITH_MARKS = re.compile(r"([+-]?)(\d[\d., ']{0,40})")
 GROUPED = re.compile(r"\d{1,3}(?:[., ']\d{2,3})*[., ']\d{3}")
 
 LENGTHS_MM = {
@@ -251,7 +251,7 @@ def numbers_meant(text: str, unit: str = "") -> tuple[str, ...]:
 
 def _readings(text: str) -> tuple[str, ...]:
     """Return the numbers that digits with points, commas, spaces and apostrophes between them may mean."""
-    number = NUMBER.fullmatch(text.strip())
+    number = DIGITS_WITH_MARKS.fullmatch(text.strip())
     if number is None:
         return ()
     sign, body = number.groups()
@@ -275,7 +275,7 @@ def _readings(text: str) -> tuple[str, ...]:
 
 
 def _advice(text: str, key: str) -> str:
-    """Return "; write NUMBER" for a number that is written in another notation or unit than its key's, else nothing."""
+    """Return "; write NUMBER" for a number written in another notation or unit than its key's, else nothing."""
     meant = numbers_meant(text, key.rpartition("_")[2])
     return f"; write {' or '.join(meant)}" if meant else ""
 

@@ -291,7 +291,7 @@ def show_frame(
 ) -> None:
     """Set the limits of axes to a frame's pixels, and show its photograph where one is at hand.
 
-    black, white: the shares of white that are drawn black and white
+    black, white: the shares of white drawn black and white
     """
     rows, columns = shape_px
     axes.set(xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5))

@@ -128,7 +128,7 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Columns and rows. strong: the column that answers, in bold; channels: the one that names channels, which are marked by
+    """Columns and rows. strong: the column that answers, in bold; channels: the one naming channels, which are marked by
     their colours; -1 for none."""
 
     columns: tuple[Column, ...]

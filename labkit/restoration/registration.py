@@ -67,7 +67,7 @@ def refined(job: Job) -> Job:
     """Return the job with the motions under which the first photograph, restored, best predicts the others, then all of them.
 
     Gauss-Newton steps of six numbers a photograph; what of the scene is not known passes for noise. Raises DataError for one
-    that is turned or grown against the first by more than tiles can follow.
+    turned or grown against the first by more than tiles can follow.
     """
     if len(job.photographs) == 1:
         return job

@@ -23,7 +23,7 @@ WRITTEN_ROUNDING = 1e-6
 
 
 def refuse_disagreement(content: Content, plan: Plan) -> None:
-    """Raise ValueError that names the first entries of results.json that contradict one another, or the plan."""
+    """Raise ValueError naming the first entries of results.json that contradict one another, or the plan."""
     for problem in _problems(content, plan):
         raise ValueError(problem)
 

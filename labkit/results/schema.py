@@ -417,7 +417,7 @@ class Content(Entry):
 
     @classmethod
     def parse(cls, content: str) -> Content:
-        """Read the text of a file. Raises ValueError that names the first key that is not as it must be."""
+        """Read the text of a file. Raises ValueError naming the first key that is not as it must be."""
         try:
             return cls.model_validate_json(content)
         except ValidationError as error:

@@ -338,7 +338,7 @@ def budget_rows(budget: Mapping[str, Mapping[str, float]]) -> Rows:
 
 
 def part_rows(tried: Sequence[PartTried]) -> Rows:
-    """Return a heading and a row for each part and group of modes that was tested for; empty if none was."""
+    """Return a heading and a row for each part and group of modes tested for; empty if none was."""
     rows = [
         [p.name.replace("_", " "), f"{p.gain:.1f}", "taken in" if p.adopted else ""]
         for p in tried
@@ -355,7 +355,7 @@ def as_html(title: str, said: str, tables: Sequence[Rows], notes: Sequence[str])
 
 
 def _signed(value: Uncertain) -> str:
-    """With its sign, if that is determined, to the digits of its error: never ± 0.0000."""
+    """With its sign, if determined, to the digits of its error: never ± 0.0000."""
     return ("" if value.value < 0 or value.sign_open else "+") + _to_error(value)
 
 

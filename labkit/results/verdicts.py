@@ -112,7 +112,7 @@ def explained(wavefront: Wavefront) -> bool:
 
 
 def stated(number: Uncertain, *, known: bool) -> Uncertain:
-    """Return a number with its error if that is known, as `confirmed` has it; else with none."""
+    """Return a number with its error if known, as `confirmed` has it; else with none."""
     if known:
         return number
     return replace(number, value=round(number.value, decimals(number.std)), std=nan)

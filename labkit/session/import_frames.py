@@ -269,7 +269,7 @@ def _range(text: str, plan: Plan) -> float | None:
 
 
 def _advice(text: str, focal_mm: float) -> str:
-    """Return what to write for a range in another notation or in metres, if that is allowed; else nothing."""
+    """Return what to write for a range in another notation or in metres, if allowed; else nothing."""
     readings = numbers_meant(text, "mm")
     if allowed := [one for one in readings if float(one) > focal_mm]:
         return f"; write {' or '.join(allowed)}"

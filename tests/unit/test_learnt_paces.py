@@ -10,7 +10,7 @@ import pytest
 
 from labkit.analysis.fit_size import USUAL_S
 from labkit.cli.sessions import _Timed
-from labkit.learnt_paces import MOST_BYTES, MOST_LEARNT, Paces
+from labkit.learnt_paces import MOST_STORE_BYTES, MOST_LEARNT, Paces
 from labkit.pace import EARLIER, RULE
 
 
@@ -57,7 +57,7 @@ def test_few_are_kept(paces: Paces) -> None:
         b'{"fit": [[true, 1]]}',
         b"\xff\xfe",
         b"[" * 50_000,
-        b'{"fit": [[1, 1]], "x": "' + b"x" * MOST_BYTES + b'"}',
+        b'{"fit": [[1, 1]], "x": "' + b"x" * MOST_STORE_BYTES + b'"}',
     ],
     ids=lambda content: repr(content)[:30],
 )

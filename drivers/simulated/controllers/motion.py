@@ -65,7 +65,7 @@ class Move:
 
 @dataclass(frozen=True, slots=True)
 class Braking:
-    """A move that is braked from `begin_s` on."""
+    """A move braked from `begin_s` on."""
 
     move: Move
     begin_s: float
