@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import cv2
 import numpy as np
@@ -25,6 +26,11 @@ Cell = tuple[int, int]
 NEIGHBOUR_STEPS: tuple[Cell, ...] = ((0, 1), (0, -1), (1, 0), (-1, 0))
 COPY_SAMPLES = 1.2e6  # of the largest copy that is searched
 COPIES = 3  # each half as wide as the one before
+MOST_LEFT_OUT = (
+    1,
+    2,
+    3,
+)  # steps of a board in one of the detector's, which leaves corners out of large boards
 LEAST_BOARD = 3  # corners along either side of a checkerboard
 QUADRANTS = (
     0.12,
@@ -43,7 +49,7 @@ WINDOW_SHARE, MOST_WINDOW = (
 LEAST_SQUARE_SIDE = 8  # of a square in a copy, samples
 LEVELS = np.linspace(15, 240, 24)  # grey levels whose outlines are searched
 OUTLINE = 0.04  # of an outline's length: how far it may depart from its quadrilateral
-ENCLOSED = 0.92  # of a quadrilateral's area, that its outline encloses
+ENCLOSED = 0.85  # of a quadrilateral's area, that its outline encloses
 MOST_OBLONG = 1.6  # ratio of a square's sides, as it is seen
 MOST_UNEVEN_SQUARE = (
     0.12  # of the contrast: standard deviation within a square, and on the ground around
@@ -145,15 +151,48 @@ def _boards(
     if not found:
         return
     lattice = _in_picture(np.reshape(corners, (*meta.shape, 2)), factor)
-    known = {(r, c): lattice[r, c] for r, c in np.ndindex(*meta.shape)}
-    known = _alternating(grey, known)
-    while len(grown := _alternating(grey, known | _next(grey, known))) > len(known):
-        known = grown
+    boards = [_grown_board(grey, seed) for seed in _seeds(lattice.reshape(-1, 2))]
+    known = max(boards, key=len, default={})
     if _spans(known, LEAST_BOARD):
         yield Pattern("checkerboard", _board_sides(known), *_as_arrays(known))
 
 
 Corners = dict[Cell, Floats]
+
+
+def _seeds(points: Floats) -> Iterator[Corners]:
+    """Yield 3 × 3 corners about the middle of some corners (m, 2) of a board, of which others may be missing."""
+    away = points - points.mean(axis=0)
+    point = points[int(np.argmin(np.hypot(*away.T)))]
+    ways = points - point
+    ways = ways[np.argsort(np.hypot(*ways.T))][1:]
+    short = ways[0]
+    across = np.abs(ways @ [-short[1], short[0]]) / np.hypot(*short) / np.hypot(*ways.T)
+    if not (across > 0.5).any():
+        return
+    long = ways[int(np.argmax(across > 0.5))]
+    long = long - np.round(long @ short / (short @ short)) * short
+    for down, right in product(MOST_LEFT_OUT, MOST_LEFT_OUT):
+        one, other = short / down, long / right
+        for first, second in ((one, other), ((one + other) / 2, (one - other) / 2)):
+            yield {
+                (r, c): point + r * first + c * second
+                for r, c in product((-1, 0, 1), (-1, 0, 1))
+            }
+
+
+def _grown_board(grey: NDArray[np.float32], seed: Corners) -> Corners:
+    """Return the checkerboard around nine corners, empty where they are none."""
+    refined = _refined(grey, np.array([*seed.values()]), _side(seed))
+    known = {
+        cell: point
+        for cell, point in zip(seed, refined, strict=True)
+        if np.isfinite(point).all()
+    }
+    known = _alternating(grey, known)
+    while len(grown := _alternating(grey, known | _next(grey, known))) > len(known):
+        known = grown
+    return known
 
 
 def _plus(
