@@ -27,9 +27,9 @@ from labkit.edges.edge_fit import (
 )
 from labkit.edges.region import (
     BOW_NUMBERS,
-    MOST_BOW_ORDER,
     LIGHT_NUMBERS,
     LINE_NUMBERS,
+    MOST_BOW_ORDER,
     Edge,
     Region,
     blurred_slopes,

@@ -23,7 +23,7 @@ from labkit.types import Bools, Floats
 ANY_CARPET = "sierpinski:order=4,size_mm=30"
 """Looked for where another kind of target is not found."""
 
-HIGHEST_ORDER, ORDERS_OFF = 8, 2
+MOST_CARPET_ORDER_TRIED, ORDERS_OFF = 8, 2
 """Largest order of a carpet; and by how much an order may be wrong."""
 
 SHARP_KERNEL_PX, WIDE_KERNEL_PX = (0.35, 0.5, 0.7, 1.0), (1.4, 2.0, 2.8, 4.0, 5.6, 8.0)
@@ -114,7 +114,7 @@ def other_orders(target: Target, most_cells: float) -> Iterator[Other]:
     size_mm = target.size_mm[0]
     off = range(1, ORDERS_OFF + 1)
     for order in chain.from_iterable((stated + k, stated - k) for k in off):
-        if 1 <= order <= HIGHEST_ORDER and 3**order <= most_cells:
+        if 1 <= order <= MOST_CARPET_ORDER_TRIED and 3**order <= most_cells:
             carpet = open_target(f"sierpinski:order={order},size_mm={size_mm!r}")
             shown = f"order {order}, [target] order = {stated}"
             yield Other(carpet, shown, f"write order = {order}")

@@ -10,7 +10,7 @@ import pytest
 
 from labkit.analysis.fit_size import USUAL_S
 from labkit.cli.sessions import _Timed
-from labkit.learnt_paces import MOST_STORE_BYTES, MOST_LEARNT, Paces
+from labkit.learnt_paces import MOST_LEARNT, MOST_STORE_BYTES, Paces
 from labkit.pace import EARLIER, RULE
 
 
