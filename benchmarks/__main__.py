@@ -12,7 +12,6 @@ import scipy.fft
 
 from benchmarks.field import selected
 from labkit.estimation.climb import maximize
-from labkit.execute import pin_threads
 from labkit.experiments.annealing import Task, work
 from labkit.experiments.conditions import (
     AIRY_UM,
@@ -26,6 +25,7 @@ from labkit.experiments.conditions import (
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
+from labkit.jobs.execute import pin_threads
 from labkit.optics.psf import Pupil
 from labkit.optics.zernike import zernike
 from labkit.types import Floats

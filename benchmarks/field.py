@@ -14,7 +14,7 @@ import numpy as np
 
 from labkit.estimation.candidate import Candidate, Observed
 from labkit.estimation.select import select
-from labkit.execute import pin_threads
+from labkit.jobs.execute import pin_threads
 from labkit.key import Key
 from tests.lens_samples import (
     COLOURS,

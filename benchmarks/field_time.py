@@ -21,7 +21,7 @@ import labkit
 from benchmarks.field_sessions import LENS, FieldSession, field_session, make
 from labkit.drivers.simulated.field import FieldTerms
 from labkit.estimation.searches import Task as Search
-from labkit.execute import Result, Task, pin_threads
+from labkit.jobs.execute import Result, Task, pin_threads
 from labkit.session.import_frames import import_frames
 
 SMOOTH = FieldTerms(

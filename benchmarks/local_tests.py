@@ -13,7 +13,6 @@ import numpy as np
 from labkit.estimation.climb import Problem, State, maximize
 from labkit.estimation.residuals import judge
 from labkit.estimation.settings import SETTINGS
-from labkit.execute import default_workers, run_all
 from labkit.experiments.conditions import draw_trial, random_waves
 from labkit.experiments.methods.optimum_tests import (
     bootstrap,
@@ -24,6 +23,7 @@ from labkit.experiments.methods.optimum_tests import (
 )
 from labkit.experiments.methods.psf_basis import shipped_psf_basis
 from labkit.experiments.roc import area
+from labkit.jobs.execute import default_workers, run_all
 from labkit.types import Floats
 
 STARTS = 6

@@ -22,8 +22,8 @@ from labkit.experiments.conditions import (
     upright,
 )
 from labkit.experiments.methods.psf_basis import find_psf_basis, noise_free
-from labkit.files import write_atomically
 from labkit.imaging.model import ForwardModel
+from labkit.storage.files import write_atomically
 
 WAVEFRONTS, STARTS, DEGREES, SEED = 40, 3, 16, 8
 

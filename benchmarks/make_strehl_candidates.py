@@ -15,7 +15,7 @@ from labkit.experiments.methods.strehl_candidates import (
     is_trivial,
     strehl,
 )
-from labkit.files import write_atomically
+from labkit.storage.files import write_atomically
 
 SHELLS = np.arange(0.02, 0.2001, 0.02)
 STARTS, SEED, SAME = (

@@ -29,7 +29,6 @@ import numpy as np
 import tifffile
 from PIL import Image
 
-from labkit import typed_file
 from labkit.catalogue.sessions import list_sessions
 from labkit.catalogue.store import catalogue_file
 from labkit.cli import run
@@ -48,6 +47,7 @@ from labkit.session.import_frames import read_rows
 from labkit.session.journal import encode
 from labkit.session.session import Session
 from labkit.session.verify import verify
+from labkit.storage import typed_file
 from labkit.types import no_progress
 from tests.chart_scenes import PLAN as CHART_PLAN
 from tests.chart_scenes import chart, checkerboard, working_f_number

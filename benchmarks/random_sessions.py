@@ -37,8 +37,8 @@ from labkit.drivers.simulated.world import (
     TrueSensor,
     Truth,
 )
-from labkit.mode_groups import MOST_NOLL
 from labkit.plan import Plan
+from labkit.plan.mode_groups import MOST_NOLL
 from labkit.session.session import Session
 from labkit.types import Floats
 

@@ -21,7 +21,7 @@ from labkit.finder.find_target import find_target
 from labkit.photographs.decoding import read_photograph
 from labkit.photographs.photograph import Photograph
 from labkit.plan import Plan
-from labkit.target import CellTarget, Target, open_target
+from labkit.target.target import CellTarget, Target, open_target
 from labkit.targets.sierpinski import carpet_cells
 from labkit.types import Floats
 from tests.rooms import Pose, as_counts, draw_target, random_poses, random_room

@@ -10,7 +10,7 @@ from scipy import stats
 
 from labkit.estimation.camera import chance_gain, kind
 from labkit.imaging.parts import KNOWN, OPTIONAL_PARTS
-from labkit.mode_groups import MODE_GROUPS
+from labkit.plan.mode_groups import MODE_GROUPS
 
 Line = dict[str, Any]
 

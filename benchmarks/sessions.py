@@ -38,9 +38,9 @@ from benchmarks.session_tables import (
 )
 from labkit.drivers.simulated.pupil import Pupil
 from labkit.drivers.simulated.world import Truth
-from labkit.execute import run_all
-from labkit.mode_groups import MODE_GROUPS
+from labkit.jobs.execute import run_all
 from labkit.plan import Plan
+from labkit.plan.mode_groups import MODE_GROUPS
 from labkit.results import Results
 
 STUDIES: dict[str, Callable[[int, int], Drawn]] = {

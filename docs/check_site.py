@@ -13,7 +13,7 @@ from urllib.parse import unquote, urlsplit
 import labkit
 from docs.generators.commands import leaves
 from docs.generators.plan_keys import keys
-from labkit.finding_texts import TEXTS
+from labkit.findings.texts import TEXTS
 
 WORD = re.compile(r"\w+")
 

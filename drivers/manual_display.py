@@ -9,7 +9,7 @@ from labkit.devices.protocols import ClosesItself, PanelInfo, Picture, Shown
 from labkit.errors import PlanError
 from labkit.panel.panels import paper_panel
 from labkit.plan import Plan
-from labkit.target_grid import whole_target
+from labkit.target.grid import whole_target
 
 SHEET = "Put a white sheet in place of the target, flat, large enough to fill the frame, under the same light"
 TARGET_REQUEST = "Put the target before the camera, flat, wholly in the frame"

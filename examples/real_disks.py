@@ -29,7 +29,7 @@ from labkit.imaging.optics import Optics
 from labkit.photographs.decoding import read_photograph
 from labkit.plan import Sensor
 from labkit.session.import_frames import import_frames
-from labkit.target import Target, open_target
+from labkit.target.target import Target, open_target
 
 Floats = npt.NDArray[np.float64]
 

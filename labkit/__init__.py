@@ -50,8 +50,8 @@ if TYPE_CHECKING:
     from labkit.session.import_frames import import_frames
     from labkit.session.session import Session
     from labkit.session.verify import verify
-    from labkit.target import open_target
-    from labkit.target_file import render_target
+    from labkit.target.rendering import render_target
+    from labkit.target.target import open_target
     from labkit.uncertain import Uncertain
 
 _PLACES = {
@@ -83,9 +83,9 @@ _PLACES = {
     "measure_noise": "noise.measure",
     "measure_tone": "calibration.tone_wedge",
     "open_devices": "devices.registry",
-    "open_target": "target",
+    "open_target": "target.target",
     "rebuild_catalogue": "catalogue.sessions",
-    "render_target": "target_file",
+    "render_target": "target.rendering",
     "reprocess": "analysis.reprocess",
     "restore": "restoration.scenes",
     "run_demo": "demo",

@@ -24,7 +24,7 @@ LIBRARIES = {
 NO_NUMERICS = {
     *("acquisition", "advice", "catalogue", "charts", "cli", "devices", "drivers"),
     *("edges", "experiments", "field", "noise", "report", "restoration"),
-    *("cluster.py", "demo.py", "execute.py", "processes.py", "threads.py"),
+    *("demo.py", "jobs"),
 }
 """Rooms whose source no fit depends on."""
 

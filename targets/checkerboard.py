@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from labkit.errors import TargetError
-from labkit.target import SURROUNDS, CellTarget
+from labkit.target.target import SURROUNDS, CellTarget
 
 if TYPE_CHECKING:
     from labkit.plan import TargetSpec

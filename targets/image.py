@@ -9,7 +9,7 @@ import numpy as np
 
 from labkit.errors import InputError, TargetError
 from labkit.photographs.picture_file import read_picture
-from labkit.target import SURROUNDS, CellTarget
+from labkit.target.target import SURROUNDS, CellTarget
 from labkit.types import Floats
 
 if TYPE_CHECKING:

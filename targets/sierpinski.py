@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from labkit.errors import TargetError
-from labkit.target import SURROUNDS, CellTarget
+from labkit.target.target import SURROUNDS, CellTarget
 from labkit.types import Floats
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from labkit.arrays import real_array
 from labkit.errors import TargetError
-from labkit.target import SURROUNDS, low_pass
+from labkit.target.target import SURROUNDS, low_pass
 from labkit.types import Floats
 
 if TYPE_CHECKING:

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 
-from labkit.files import write_atomically
 from labkit.numerics import LIBRARIES, NO_NUMERICS, versions
+from labkit.storage.files import write_atomically
 
 ROOT = Path(__file__).parents[1]
 RECORD = Path(__file__).with_suffix(".json")

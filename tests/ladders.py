@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from labkit.files import sha256_of
 from labkit.plan import Sensor
 from labkit.session.frame import Frame
+from labkit.storage.files import sha256_of
 from labkit.types import Floats, FrameKind
 
 SIDE = 96

@@ -23,7 +23,7 @@ from labkit.estimation.together import Ends, TogetherTask, search_together
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
 from labkit.plan import Plan
-from labkit.target import CellTarget
+from labkit.target.target import CellTarget
 from labkit.types import Floats
 from tests.lens_samples import laws, measured
 from tests.plans import PORTRAIT

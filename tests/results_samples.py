@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from labkit.findings import Finding, found
+from labkit.findings.findings import Finding, found
 from labkit.optics.field import FieldFrame
 from labkit.optics.rim import Circle, Diaphragm, FieldRim, Rim, Vignetting
 from labkit.optics.spectrum import Spectrum

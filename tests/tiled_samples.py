@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from labkit.findings import Finding
+from labkit.findings.findings import Finding
 from labkit.key import Key
 from labkit.optics.field import FieldFrame, FieldModel, field_terms
 from labkit.results import Placement, Results, Wavefront

@@ -12,7 +12,7 @@ from labkit.figure_style import SOFT_INK, png, styled
 from labkit.optics.lens import ThinLens, defocus_waves
 from labkit.optics.metrics import opd_map, psf_value
 from labkit.optics.wavefront import FittedWavefront
-from labkit.target import open_target
+from labkit.target.target import open_target
 from labkit.types import Floats
 
 FOLDER = Path(__file__).parents[1] / "method" / "figures"

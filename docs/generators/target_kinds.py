@@ -8,7 +8,7 @@ from importlib.metadata import EntryPoint, entry_points
 
 from docs.generators.markdown import code
 from labkit.plan.tables import NEEDED_BY_KIND
-from labkit.target import open_target
+from labkit.target.target import open_target
 
 EXAMPLES = {
     "sierpinski": "sierpinski:order=5,size_mm=46.8",

@@ -12,7 +12,7 @@ from labkit.drivers.gphoto2.link import IO, TIMEOUT, Trouble
 from labkit.errors import CameraError, RawError
 from labkit.photographs.container import recognise
 from labkit.photographs.libraw import opened_raw
-from labkit.reading import opened_photograph
+from labkit.storage.reading import opened_photograph
 
 SUFFIXES = (
     (b"ftypcrx", ".cr3"), (b"CR\x02", ".cr2"), (b"FUJIFILMCCD-RAW", ".raf"), (b"IIU\0", ".rw2"),

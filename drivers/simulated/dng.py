@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labkit.drivers.simulated.lossless_jpeg import compress_counts
-from labkit.files import write_atomically
+from labkit.storage.files import write_atomically
 from labkit.version import __version__
 
 CFA_COLOURS = {"R": 0, "G": 1, "B": 2}

@@ -25,12 +25,12 @@ from labkit.drivers.simulated.world import (
     TrueSensor,
 )
 from labkit.errors import PlanError
-from labkit.pace import in_words
+from labkit.jobs.pace import in_words
 from labkit.panel import PanelInfo
 from labkit.panel.panels import paper_panel, plan_panel
 from labkit.panel.picture import panel_picture
 from labkit.plan import Plan, RailSettings, TargetSpec
-from labkit.target_grid import whole_target
+from labkit.target.grid import whole_target
 
 FEWEST_SAMPLES, NEAR_HALO_UM = 4, 200.0
 """To a pixel, and how far light is followed ring by ring, on a sensor rendered in tiles: less of each is less work."""

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from labkit.drivers.simulated.optics import REFERENCE_NM, noll_to_nm
-from labkit.reading import read_text, reason
+from labkit.storage.reading import read_text, reason
 from labkit.types import Floats
 
 MOST_TABLE_BYTES = 2**22

@@ -17,7 +17,7 @@ from urllib.parse import urlsplit
 from starlette.types import ASGIApp, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from labkit.files import kept_secret
+from labkit.storage.files import kept_secret
 
 UNKNOWN_CONNECTION_S = 5.0
 MOST_UNKNOWN_CONNECTIONS = 128

@@ -14,7 +14,7 @@ from typing import Any
 from labkit.devices.operator import Operator
 from labkit.drivers.web.preview import FrameSummary, look_at, summarise
 from labkit.finder.preview import Look
-from labkit.pace import Pace
+from labkit.jobs.pace import Pace
 from labkit.photographs.photograph import Photograph
 from labkit.types import FrameKind
 

@@ -14,8 +14,8 @@ from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 from websockets.typing import Origin
 
-from labkit.files import state_folder, write_private
-from labkit.reading import MOST_NOTE_BYTES, read_private
+from labkit.storage.files import state_folder, write_private
+from labkit.storage.reading import MOST_NOTE_BYTES, read_private
 
 PAGE_ANSWER_S = 2.0
 

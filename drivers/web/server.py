@@ -37,7 +37,7 @@ from labkit.drivers.web.monitor import Monitor
 from labkit.drivers.web.open_pages import note
 from labkit.drivers.web.screen import Report, Screen
 from labkit.errors import DisplayError, PlanError
-from labkit.files import state_folder
+from labkit.storage.files import state_folder
 
 SERVER_START_S = SERVER_STOP_S = 10.0
 SEND_S = PONG_S = 10.0

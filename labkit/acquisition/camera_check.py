@@ -32,7 +32,7 @@ from labkit.photographs.exposure import exposure_problem, pixel_noise
 from labkit.photographs.photograph import WHOLE, Cut, Photograph
 from labkit.plan import Plan
 from labkit.plan.sensor import MONO
-from labkit.target import open_target
+from labkit.target.target import open_target
 from labkit.types import Counts, Floats
 
 BARE = """

@@ -44,7 +44,7 @@ from labkit.photographs.exposure import exposure_problem
 from labkit.photographs.photograph import WHOLE, Photograph
 from labkit.plan import Plan
 from labkit.session.session import EXPOSING_FOLDER, Session, begin
-from labkit.target import open_target
+from labkit.target.target import open_target
 from labkit.types import Floats, Progress, no_progress
 
 Ask = Callable[[str], object]

@@ -8,7 +8,7 @@ from typing import Any
 from labkit.acquisition.sequence import Shot
 from labkit.devices.observer import Holding, Observer, Viewer
 from labkit.finder.preview import Look
-from labkit.pace import PAUSED
+from labkit.jobs.pace import PAUSED
 from labkit.photographs.photograph import Photograph
 from labkit.session.session import Session
 from labkit.types import Progress

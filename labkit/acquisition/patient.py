@@ -20,8 +20,8 @@ from labkit.devices.protocols import (
     SelfRecovering,
 )
 from labkit.errors import DeviceError, DisplayError, RailLimitError
-from labkit.files import writing
 from labkit.plan import Plan
+from labkit.storage.files import writing
 
 Result = TypeVar("Result")
 

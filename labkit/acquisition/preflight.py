@@ -21,7 +21,6 @@ from labkit.acquisition.log import CaptureLog
 from labkit.acquisition.patient import PatientDevices
 from labkit.devices.protocols import Check, Checkable, Picture
 from labkit.errors import DataError, DeviceError, InputError, LabkitError, TargetError
-from labkit.files import write_atomically, writing
 from labkit.finder.cut import cut_around
 from labkit.finder.find_target import margin_px
 from labkit.finder.lattice import find_targets
@@ -40,7 +39,8 @@ from labkit.photographs.exposure import exposure_problem
 from labkit.photographs.photograph import WHOLE, Cut, Photograph
 from labkit.plan import Plan
 from labkit.session.session import PREFLIGHT_FOLDER
-from labkit.target import open_target
+from labkit.storage.files import write_atomically, writing
+from labkit.target.target import open_target
 from labkit.types import Floats
 
 Result = TypeVar("Result")

@@ -15,8 +15,8 @@ from labkit.errors import PlanError
 from labkit.panel.picture import PanelPicture, panel_picture
 from labkit.plan import CameraSettings, NoiseSettings, Plan, RailSettings
 from labkit.session.session import Session
-from labkit.target import open_target
-from labkit.target_grid import whole_target
+from labkit.target.grid import whole_target
+from labkit.target.target import open_target
 from labkit.types import FrameKind
 
 

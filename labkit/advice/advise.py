@@ -19,12 +19,12 @@ from labkit.advice.outlook import (
 )
 from labkit.errors import DataError, PlanError
 from labkit.estimation.stated import Stated
+from labkit.jobs.threads import one_thread
 from labkit.key import Key
 from labkit.optics.wavefront import DEFOCUS
 from labkit.panel.panels import plan_panel
 from labkit.panel.target_pixels import panel_pixels
 from labkit.plan import Channel, Plan
-from labkit.threads import one_thread
 
 AIRY_ZERO = 1.2197  # first zero of J1 over pi; the thesis prints 3.8317 in (3.49) to (3.53)
 ELECTRONS = 20_000  # at white, of a usual pixel exposed to half of its well

@@ -17,11 +17,11 @@ from labkit.estimation.likelihood import FrameData
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
-from labkit.mode_groups import MODE_GROUPS
 from labkit.optics.lens import ThinLens, defocus_waves, ground_sample_mm
 from labkit.optics.wavefront import DEFOCUS
 from labkit.plan import Channel, Plan
-from labkit.target import Target, open_target
+from labkit.plan.mode_groups import MODE_GROUPS
+from labkit.target.target import Target, open_target
 from labkit.types import Floats
 
 EXPECTED_NOISE = NoisePrior(1.0, 0.02, 9.0, 0.1)

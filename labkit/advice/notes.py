@@ -14,7 +14,7 @@ from labkit.panel.picture import panel_picture
 from labkit.panel.stripe_contrast import LEAST_STRIPE_CONTRAST, stripe_contrast
 from labkit.plan import Channel, Plan
 from labkit.plan.sensor import BAYER
-from labkit.target_grid import open_grid
+from labkit.target.grid import open_grid
 
 if TYPE_CHECKING:
     from labkit.advice.advise import RangeAdvice

@@ -38,15 +38,15 @@ from labkit.estimation.observation import Observation
 from labkit.estimation.searches import fit_task
 from labkit.estimation.session import estimate
 from labkit.estimation.split import Change, find_change
-from labkit.execute import Executed, Run, Workers, default_workers, map_in_order
 from labkit.field.session_geometry import session_geometry
-from labkit.files import is_full, sha256_of
-from labkit.findings import (
+from labkit.findings.findings import (
     Finding,
     each_once,
     found,
     unanswered,
 )
+from labkit.jobs.execute import Executed, Run, Workers, default_workers, map_in_order
+from labkit.jobs.threads import one_thread
 from labkit.key import Key
 from labkit.panel.seen_pixels import (
     PLAIN_CONTRAST,
@@ -67,8 +67,8 @@ from labkit.session.stated import contradictions
 from labkit.session.stored_plan import PLAN_FILE
 from labkit.session.verify import altered as altered_files
 from labkit.session.verify import as_error, unused
-from labkit.target import Target, open_target
-from labkit.threads import one_thread
+from labkit.storage.files import is_full, sha256_of
+from labkit.target.target import Target, open_target
 from labkit.types import Progress, no_progress
 
 FIT_AGAIN = "fit again: that goes on where this one ended"
@@ -108,7 +108,7 @@ def fit(
     ranges_mm, channels : ranges and channels to fit; None for all
     noll : first and last mode, instead of the plan's
     workers : number of processes, by default one for each core; results do not depend on the number
-    run : an executor of `concurrent.futures`, or any `labkit.execute.Run`, in place of `workers` processes of this machine
+    run : an executor of `concurrent.futures`, or any `labkit.jobs.execute.Run`, in place of `workers` processes of this machine
     name : name of the results; by default "latest", or for some ranges or channels their names
     patience_s : processor time after which the search for one wavefront makes no further start
     joint : whether to climb over all frames at once in the end

@@ -29,11 +29,11 @@ from labkit.finder.find_target import find_target
 from labkit.finder.picture import Picture
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
+from labkit.jobs.threads import one_thread
 from labkit.plan import FieldSettings
 from labkit.plan.sensor import ChannelPixels, channel_pixels, pattern_of
 from labkit.results import Wavefront
-from labkit.target import Target
-from labkit.threads import one_thread
+from labkit.target.target import Target
 from labkit.types import Bools, Floats
 
 GIVEN_NOISE_STD = 0.05  # relative error of a gain and a read variance that the caller gives: priors of the fit

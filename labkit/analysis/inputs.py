@@ -9,12 +9,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from labkit.files import sha256_of
 from labkit.numerics import source_digest
 from labkit.results.entries import MadeFrom
 from labkit.results.schema import Content
 from labkit.session.session import Session
 from labkit.session.stored_plan import PLAN_FILE
+from labkit.storage.files import sha256_of
 from labkit.version import __version__
 
 

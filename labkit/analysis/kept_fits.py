@@ -19,14 +19,20 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from labkit import typed_file
 from labkit.errors import InputError
-from labkit.execute import Result, Run, Task
-from labkit.files import drop_link, kept_secret, state_folder, write_atomically, writing
-from labkit.findings import Finding, found
+from labkit.findings.findings import Finding, found
+from labkit.jobs.execute import Result, Run, Task
+from labkit.jobs.sharing import packed
 from labkit.numerics import versions
-from labkit.reading import read_bytes
-from labkit.sharing import packed
+from labkit.storage import typed_file
+from labkit.storage.files import (
+    drop_link,
+    kept_secret,
+    state_folder,
+    write_atomically,
+    writing,
+)
+from labkit.storage.reading import read_bytes
 
 FOLDER = ".fits"
 

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from labkit.errors import InputError, LostTasksError, TargetError
-from labkit.execute import Run
-from labkit.files import write_atomically
 from labkit.finder.find_target import find_target
 from labkit.finder.lattice import find_tiles
 from labkit.finder.picture import Picture
 from labkit.finder.preview import jpeg
 from labkit.finder.registration import surround_share
+from labkit.jobs.execute import Run
+from labkit.jobs.sharing import Shared, share
 from labkit.key import Tile
 from labkit.optics.lens import ThinLens, ground_sample_mm
 from labkit.photographs.decoding import read_photograph
@@ -24,9 +24,9 @@ from labkit.photographs.photograph import Photograph
 from labkit.plan import Plan
 from labkit.session.frame import Frame
 from labkit.session.session import PREFLIGHT_FOLDER
-from labkit.sharing import Shared, share
-from labkit.target import Target
-from labkit.target_grid import open_grid
+from labkit.storage.files import write_atomically
+from labkit.target.grid import open_grid
+from labkit.target.target import Target
 from labkit.types import Floats, Progress
 
 Corners = Mapping[Tile | None, Floats]

@@ -14,7 +14,7 @@ from labkit.finder.cut import sees_no_neighbour
 from labkit.imaging.warp import Pose
 from labkit.key import Tile
 from labkit.photographs.photograph import Cut
-from labkit.target import Target, on_dots
+from labkit.target.target import Target, on_dots
 from labkit.types import Floats
 
 DOTS, AVERAGED = 9, 3

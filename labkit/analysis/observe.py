@@ -36,16 +36,16 @@ from labkit.errors import DataError
 from labkit.estimation.climb import NoisePrior
 from labkit.estimation.likelihood import FrameData, low_orders
 from labkit.estimation.observation import Observation
-from labkit.execute import Run
 from labkit.finder.cut import (
     cut_around,
     cut_within,
     sees_target_only,
 )
 from labkit.finder.plausibility import Sight, refuse_contradictions
-from labkit.findings import Finding, at_range, each_once, found, surround_uneven
+from labkit.findings.findings import Finding, at_range, each_once, found, surround_uneven
 from labkit.imaging.brightness import Brightness
 from labkit.imaging.warp import Pose
+from labkit.jobs.execute import Run
 from labkit.key import Key, Tile, same_range
 from labkit.panel.target_pixels import as_shown
 from labkit.photographs.decoding import read_photograph
@@ -54,8 +54,8 @@ from labkit.photographs.photograph import Cut, Photograph
 from labkit.plan import Plan
 from labkit.session.frame import Frame, distinct
 from labkit.session.session import Session
-from labkit.target import Target
-from labkit.target_grid import open_grid
+from labkit.target.grid import open_grid
+from labkit.target.target import Target
 from labkit.types import Bools, Floats, Progress, no_progress
 
 LEAST_TARGET_PIXELS = 100  # usable ones on the target

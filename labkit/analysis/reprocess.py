@@ -14,11 +14,11 @@ from labkit.analysis.fit import fit
 from labkit.analysis.inputs import why_outdated
 from labkit.errors import DataError, LabkitError, NewerError, WorkersError
 from labkit.estimation.searches import fit_task
-from labkit.execute import Executed, Run, Workers, default_workers
-from labkit.files import check_name, is_full
+from labkit.jobs.execute import Executed, Run, Workers, default_workers
+from labkit.jobs.threads import one_thread
 from labkit.results.storage import accept_failed_fits, kept_content, plan_of
 from labkit.session.session import Session
-from labkit.threads import one_thread
+from labkit.storage.files import check_name, is_full
 from labkit.types import Progress, no_progress
 
 State = Literal["up to date", "to do", "fitted", "failed", "skipped"]
@@ -84,7 +84,7 @@ def reprocess(
     dry_run : whether only to report, without fits or files
     accept_failed : whether to accept results without failed fits; else the session stays "failed"
     workers : number of processes, by default one for each core
-    run : an executor of `concurrent.futures`, or any `labkit.execute.Run`, in place of processes of this machine
+    run : an executor of `concurrent.futures`, or any `labkit.jobs.execute.Run`, in place of processes of this machine
     progress : called with the step under way; steps are sessions
 
     Returns

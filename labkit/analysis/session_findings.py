@@ -34,7 +34,7 @@ from labkit.estimation.lens_fit import LensFit
 from labkit.estimation.settings import SETTINGS
 from labkit.estimation.split import second_camp
 from labkit.estimation.stated import wanted_parts
-from labkit.findings import (
+from labkit.findings.findings import (
     Finding,
     Moves,
     camera_part_found,

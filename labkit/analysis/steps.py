@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
-from labkit.execute import Result, Run, Task
+from labkit.jobs.execute import Result, Run, Task
 from labkit.types import Progress
 
 

@@ -9,9 +9,9 @@ import numpy as np
 from labkit.estimation.climb import NoisePrior
 from labkit.estimation.observation import Observation
 from labkit.finder.cut import is_surround_even, surround_level
-from labkit.findings import Finding, found
+from labkit.findings.findings import Finding, found
 from labkit.imaging.warp import Pose
-from labkit.target import SURROUNDS, Target
+from labkit.target.target import SURROUNDS, Target
 from labkit.types import Bools, Floats
 
 

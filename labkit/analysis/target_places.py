@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import numpy as np
 
-from labkit.findings import Finding, found
+from labkit.findings.findings import Finding, found
 from labkit.key import Tile
 from labkit.session.frame import Frame
 from labkit.types import Floats

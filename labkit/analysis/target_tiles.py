@@ -12,12 +12,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from labkit.findings import Finding, found
+from labkit.findings.findings import Finding, found
 from labkit.imaging.warp import Pose
 from labkit.key import Tile
 from labkit.optics.lens import ThinLens, ground_sample_mm
 from labkit.plan import FieldSettings, Plan
-from labkit.target import Target
+from labkit.target.target import Target
 from labkit.types import Floats
 
 LARGEST_WHOLE_PX = 360.0

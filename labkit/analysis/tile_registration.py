@@ -16,7 +16,7 @@ from labkit.key import Key
 from labkit.optics.field import FieldFrame
 from labkit.photographs.photograph import Photograph
 from labkit.plan.sensor import IN_COLOURS
-from labkit.target import Target
+from labkit.target.target import Target
 from labkit.types import Counts, Floats, Floats32
 
 Ints = NDArray[np.intp]

@@ -24,7 +24,7 @@ from labkit.calibration.photon_transfer import NoiseEstimate, photon_transfer
 from labkit.calibration.stack import Stacks
 from labkit.calibration.stated_noise import UNMEASURED, noise_findings, with_stated
 from labkit.errors import DataError
-from labkit.findings import Finding, at_range, each_once, flats_of_another_range
+from labkit.findings.findings import Finding, at_range, each_once, flats_of_another_range
 from labkit.photographs.photograph import WHOLE, Cut, Photograph, overlap
 from labkit.plan import Plan
 from labkit.session.frame import Frame

@@ -15,7 +15,7 @@ from labkit.calibration.photon_transfer import (
     Scatter,
 )
 from labkit.calibration.stack import Stack
-from labkit.findings import Finding, found
+from labkit.findings.findings import Finding, found
 from labkit.session.frame import Frame
 from labkit.types import Bools, Floats32
 

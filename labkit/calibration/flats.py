@@ -26,7 +26,7 @@ from labkit.calibration.masters import (
 from labkit.calibration.needed import EVERYTHING, Needed
 from labkit.calibration.photon_transfer import ROUNDING_VARIANCE, NoiseEstimate, Scatter
 from labkit.calibration.stack import Stack
-from labkit.findings import Finding, flats_partly_unlit, found
+from labkit.findings.findings import Finding, flats_partly_unlit, found
 from labkit.panel.pattern_in_flats import repeating
 from labkit.photographs.photograph import WHOLE, Cut, Photograph, overlap
 from labkit.types import Bools, Floats, Floats32, Indices

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from math import hypot
 
 from labkit.calibration.photon_transfer import NoiseEstimate
-from labkit.findings import Finding, found
+from labkit.findings.findings import Finding, found
 from labkit.plan import Channel
 from labkit.uncertain import Uncertain
 

@@ -22,7 +22,7 @@ from labkit.photographs.container import recognise
 from labkit.photographs.encoding import srgb
 from labkit.photographs.picture_file import Picture
 from labkit.photographs.processed_picture import read_file
-from labkit.target import CellTarget, open_target
+from labkit.target.target import CellTarget, open_target
 from labkit.types import Floats
 
 WEDGE = "wedge:size_mm=100"

@@ -20,9 +20,9 @@ from typing import Any
 
 from labkit.catalogue.entry import Entry, Quantity, read_entry
 from labkit.errors import InputError
-from labkit.files import state_folder, write_private
-from labkit.reading import read_private
 from labkit.session.journal import JOURNAL
+from labkit.storage.files import state_folder, write_private
+from labkit.storage.reading import read_private
 from labkit.types import Progress, no_progress
 from labkit.uncertain import Uncertain
 from labkit.version import __version__

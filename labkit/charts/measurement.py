@@ -28,13 +28,13 @@ from labkit.edges.boxes import ChannelFrame, Place, read_frames
 from labkit.edges.camera import Camera, camera_of
 from labkit.edges.measurement import FINDING, measured_channels
 from labkit.errors import DataError
-from labkit.execute import Workers, default_workers
-from labkit.findings import Finding, each_once, found
+from labkit.findings.findings import Finding, each_once, found
+from labkit.jobs.execute import Workers, default_workers
+from labkit.jobs.threads import one_thread
 from labkit.optics.field import FieldFrame
 from labkit.optics.lens import ThinLens, defocus_waves
 from labkit.photographs.photograph import Photograph
 from labkit.plan import Plan, leading_channel
-from labkit.threads import one_thread
 from labkit.types import Floats, Progress, no_progress
 
 PLACES_ACROSS = 7

@@ -17,9 +17,9 @@ from labkit.charts.geometry import ChartGeometry
 from labkit.charts.place_fit import EdgeResponse, PlaceFit
 from labkit.edges.outcome import Backdrop
 from labkit.edges.response import Response, response_along, with_errors
-from labkit.files import write_folder
-from labkit.findings import Finding
+from labkit.findings.findings import Finding
 from labkit.optics.field import FieldFrame
+from labkit.storage.files import write_folder
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 

@@ -18,7 +18,7 @@ from labkit.session.journal import journal_in
 from labkit.version import __version__
 
 if TYPE_CHECKING:
-    from labkit.execute import Run
+    from labkit.jobs.execute import Run
     from labkit.plan import Plan
 
 
@@ -252,7 +252,7 @@ def cluster_or_none(address: str | None, workers: int | None) -> Iterator[Run | 
         raise InputError(
             "--workers with --dask: the cluster has its own workers; leave out --workers"
         )
-    from labkit.cluster import on_dask
+    from labkit.jobs.cluster import on_dask
 
     with on_dask(address) as run:
         yield run

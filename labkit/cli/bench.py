@@ -164,7 +164,7 @@ def camera_tone(
     """Measure a camera's tone curve. From a photograph of the wedge of labkit target serve; prints a table for the plan."""
     a_file(photograph)
     from labkit.calibration.tone_wedge import measure_tone
-    from labkit.files import write_new
+    from labkit.storage.files import write_new
 
     console: Console = ctx.obj
     tone = measure_tone(photograph)
@@ -202,8 +202,8 @@ def target_render(
 ) -> None:
     """Write a target to print, in its true size."""
     perhaps_a_plan(spec)
-    from labkit.target_file import render_target
-    from labkit.target_grid import whole_target
+    from labkit.target.grid import whole_target
+    from labkit.target.rendering import render_target
 
     console: Console = ctx.obj
     made = render_target(whole_target(spec), file, dpi=dpi, pixels=pixels)

@@ -110,7 +110,7 @@ def history(
     console.table(_history_rows(found))
     if out is not None:
         from labkit.catalogue.pictures import history_picture
-        from labkit.files import write_atomically
+        from labkit.storage.files import write_atomically
 
         write_atomically(out, history_picture(found))
         console.say(f"picture: {out}")
@@ -196,7 +196,7 @@ def _difference_row(one: Difference) -> list[str]:
 def _written(folder: Path, pair: Comparison) -> Path:
     """Write a pair's map, and return its path."""
     from labkit.catalogue.pictures import comparison_picture
-    from labkit.files import write_atomically, writing
+    from labkit.storage.files import write_atomically, writing
 
     path = folder / f"{Path(pair.first).name}-{Path(pair.second).name}.svg"
     with writing(folder):

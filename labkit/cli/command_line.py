@@ -19,7 +19,7 @@ from typer.exceptions import TyperException
 from labkit.cli.app import app
 from labkit.cli.console import Console, error_line, print_line
 from labkit.errors import LabkitError, out_of_memory
-from labkit.files import open_standard_streams
+from labkit.storage.files import open_standard_streams
 
 COMMANDS = {
     "bench": {"camera", "capture", "devices", "rail", "target"},

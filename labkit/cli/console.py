@@ -16,7 +16,7 @@ from io import StringIO
 from typing import TYPE_CHECKING, Any, TextIO
 
 from labkit.errors import printable
-from labkit.pace import EARLIER, Work
+from labkit.jobs.pace import EARLIER, Work
 
 if TYPE_CHECKING:
     from labkit.cli.progress_bar import Bar

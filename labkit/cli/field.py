@@ -42,8 +42,8 @@ def show(
     a_session(session)
     from labkit.field import tables
     from labkit.field.summary import summarise_field
-    from labkit.files import write_atomically
     from labkit.results import Results
+    from labkit.storage.files import write_atomically
 
     console: Console = ctx.obj
     summary = summarise_field(Results.load(session, name), channel)

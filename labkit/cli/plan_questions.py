@@ -20,7 +20,7 @@ from labkit.plan.tables import BY_HAND, NEEDED_BY_KIND
 from labkit.plan.text import message, numbers_meant, write_tables
 from labkit.session.draft_plan import FILL_IN, Row, draft_tables
 from labkit.spectra import COLOURS, LIGHT_KINDS
-from labkit.target_grid import whole_target
+from labkit.target.grid import whole_target
 
 Ask = Callable[[str, Callable[[str], Any], str], Any]
 """Puts a question with how to read its answer and a default; gives what was read."""

@@ -19,7 +19,7 @@ from rich.table import Column
 from rich.text import Text
 
 from labkit.errors import printable
-from labkit.pace import Work
+from labkit.jobs.pace import Work
 
 
 def terminal() -> Terminal | None:

@@ -137,7 +137,7 @@ def restore(
 ) -> None:
     """Restore the scene behind photographs. By a session's lens, with standard errors."""
     a_file_or_session(*photographs, psf)
-    from labkit.execute import default_workers
+    from labkit.jobs.execute import default_workers
     from labkit.restoration.restored_photographs import Wanted
     from labkit.restoration.scenes import scenes_of
 

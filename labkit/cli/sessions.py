@@ -29,7 +29,7 @@ from labkit.cli.app import (
 )
 from labkit.cli.console import Console
 from labkit.errors import DataError, InputError, LabkitError
-from labkit.pace import EARLIER, RULE
+from labkit.jobs.pace import EARLIER, RULE
 
 if TYPE_CHECKING:
     from labkit.plan import Plan
@@ -155,7 +155,7 @@ def _ask_for_plan(console: Console, image: Path | None, out: Path) -> None:
     """Write a plan by questions, all at the end. Raises InputError if the file exists."""
     from labkit.cli.plan_questions import plan_by_questions
     from labkit.cli.questions import ask_until
-    from labkit.files import refuse_taken, write_new
+    from labkit.storage.files import refuse_taken, write_new
 
     refuse_taken(out)
     console.hint = "; nothing was written"
@@ -344,7 +344,7 @@ class _Timed:
     ) -> _Timed:
         from labkit.analysis.fit_size import fit_size
         from labkit.analysis.kept_fits import FOLDER
-        from labkit.execute import default_workers
+        from labkit.jobs.execute import default_workers
 
         size = 0.0
         with suppress(InputError):  # which the fit will say
@@ -357,7 +357,7 @@ class _Timed:
     def expected(self) -> tuple[float | None, str]:
         """Expected duration in seconds, and whose it is."""
         from labkit.analysis.fit_size import USUAL_S
-        from labkit.learnt_paces import Paces
+        from labkit.jobs.learnt_paces import Paces
 
         if not self.size:
             return None, EARLIER
@@ -366,7 +366,7 @@ class _Timed:
 
     def learn(self) -> None:
         """Remember how long the fit took."""
-        from labkit.learnt_paces import Paces
+        from labkit.jobs.learnt_paces import Paces
 
         if self.whole:
             Paces.of_user().learn(FIT, self.size, time.monotonic() - self.began_s)
@@ -377,7 +377,7 @@ def _show(console: Console, results: Results, diagnose: bool) -> None:
 
     Raises DataError for a requested quantity that could not be estimated.
     """
-    from labkit.findings import UNANSWERED_CODES
+    from labkit.findings.findings import UNANSWERED_CODES
 
     said = {"session-mended"} | (
         set(UNANSWERED_CODES) if results.unanswered else set()

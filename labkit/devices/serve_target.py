@@ -18,8 +18,8 @@ from labkit.errors import DisplayError, PlanError
 from labkit.panel.panels import PANELS
 from labkit.panel.picture import panel_picture
 from labkit.plan import DisplaySettings, Plan
-from labkit.target import Target
-from labkit.target_grid import whole_target
+from labkit.target.grid import whole_target
+from labkit.target.target import Target
 
 TARGET_CHOICE = "target"
 CHOICES = (TARGET_CHOICE, *PATTERNS)

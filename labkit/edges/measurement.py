@@ -23,12 +23,12 @@ from labkit.edges.found_edges import Box
 from labkit.edges.outcome import ChannelEdge, EdgesOutcome, MeasuredEdge, RejectedEdge
 from labkit.edges.ranges import AS_LIKELY, EdgeRange, FocusLaw, edge_range
 from labkit.errors import DataError
-from labkit.execute import Workers, default_workers
-from labkit.findings import Finding, each_once, found
+from labkit.findings.findings import Finding, each_once, found
+from labkit.jobs.execute import Workers, default_workers
+from labkit.jobs.threads import one_thread
 from labkit.photographs.photograph import Photograph
 from labkit.plan import Plan, leading_channel
 from labkit.results import Results
-from labkit.threads import one_thread
 from labkit.types import Floats, Progress, no_progress
 from labkit.uncertain import Uncertain
 

@@ -15,13 +15,13 @@ from labkit.edges.esfr import EDITIONS, Esfr
 from labkit.edges.found_edges import Box
 from labkit.edges.response import Response
 from labkit.errors import TargetError
-from labkit.files import write_folder
 from labkit.finder.picture import Picture, grey_image
-from labkit.findings import Finding, found
+from labkit.findings.findings import Finding, found
 from labkit.photographs.decoding import read_photograph
 from labkit.plan import Plan, leading_channel
 from labkit.plan.sensor import MONO
 from labkit.results.schema import FindingEntry
+from labkit.storage.files import write_folder
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 

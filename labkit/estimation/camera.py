@@ -22,7 +22,7 @@ from labkit.estimation.local import Optimum
 from labkit.estimation.scores import ScoreTest
 from labkit.estimation.settings import SETTINGS
 from labkit.imaging.parts import KNOWN, Blades
-from labkit.mode_groups import MODE_GROUPS
+from labkit.plan.mode_groups import MODE_GROUPS
 from labkit.results.model import PartTried
 from labkit.types import Floats, Indices
 

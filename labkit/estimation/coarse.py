@@ -18,7 +18,7 @@ from labkit.estimation.settings import SETTINGS
 from labkit.estimation.starts import Sketches, fitted_light
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
-from labkit.target import Target
+from labkit.target.target import Target
 from labkit.types import Bools, Floats
 
 

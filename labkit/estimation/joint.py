@@ -19,13 +19,13 @@ from labkit.estimation.local import Views
 from labkit.estimation.ridge import Ridge
 from labkit.estimation.select import lens_of
 from labkit.estimation.settings import SETTINGS
-from labkit.execute import Run
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.imaging.window import WIDEST_WINDOW, WINDOW_AIRY
-from labkit.mode_groups import MODE_GROUPS
-from labkit.sharing import Shared, share
-from labkit.target import Target
+from labkit.jobs.execute import Run
+from labkit.jobs.sharing import Shared, share
+from labkit.plan.mode_groups import MODE_GROUPS
+from labkit.target.target import Target
 from labkit.types import Progress
 
 

@@ -21,7 +21,7 @@ from labkit.estimation.candidate import Measured
 from labkit.estimation.estimate import Estimate
 from labkit.estimation.lens_fit import fit_lens
 from labkit.estimation.scores import ScoreTest
-from labkit.mode_groups import MODE_GROUPS, USUAL_NOLL
+from labkit.plan.mode_groups import MODE_GROUPS, USUAL_NOLL
 from labkit.types import Floats
 
 LOG_VARIANCES = -14.0, 14.0

@@ -26,7 +26,7 @@ from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
 from labkit.optics.zernike import twin_signs
-from labkit.target import Target
+from labkit.target.target import Target
 from labkit.types import Floats
 
 

@@ -17,10 +17,10 @@ from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import nominal_f_number, optics_of
 from labkit.imaging.optics import Optics
 from labkit.imaging.parts import KNOWN, CatsEye
-from labkit.mode_groups import MODE_GROUPS
 from labkit.optics.other_circle import over_other_circle
 from labkit.optics.wavefront import DEFOCUS
 from labkit.plan import Plan
+from labkit.plan.mode_groups import MODE_GROUPS
 from labkit.types import Floats
 
 _Begin = tuple[float, Optimum]

@@ -18,8 +18,8 @@ from labkit.estimation.identifiability import inverse
 from labkit.estimation.settings import SETTINGS
 from labkit.imaging.optics import Optics
 from labkit.imaging.parts import KNOWN
-from labkit.mode_groups import MODE_GROUPS
 from labkit.optics.zernike import twin_signs
+from labkit.plan.mode_groups import MODE_GROUPS
 from labkit.types import Floats
 
 

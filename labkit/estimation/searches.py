@@ -9,11 +9,11 @@ from labkit.errors import FitError, LostTasksError
 from labkit.estimation.local import Found, Guesses, Views, find_optima
 from labkit.estimation.observation import Observation
 from labkit.estimation.stray_pixels import without_pixels
-from labkit.execute import Run
 from labkit.imaging.optics import Optics
-from labkit.processes import say
-from labkit.sharing import Shared, share
-from labkit.target import Target
+from labkit.jobs.execute import Run
+from labkit.jobs.processes import say
+from labkit.jobs.sharing import Shared, share
+from labkit.target.target import Target
 from labkit.types import Progress
 
 

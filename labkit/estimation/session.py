@@ -36,14 +36,14 @@ from labkit.estimation.settings import SETTINGS
 from labkit.estimation.stated import Stated, nominal_f_number, optics_of, wanted_parts
 from labkit.estimation.stated_camera import StatedCamera
 from labkit.estimation.strong import StrongSearch
-from labkit.execute import Run
 from labkit.imaging.optics import Optics
 from labkit.imaging.parts import KNOWN
 from labkit.imaging.warp import Pose
-from labkit.mode_groups import MODE_GROUPS
+from labkit.jobs.execute import Run
 from labkit.optics.field import field_terms
 from labkit.plan import Plan
-from labkit.target import Target
+from labkit.plan.mode_groups import MODE_GROUPS
+from labkit.target.target import Target
 from labkit.types import Floats, Progress
 
 

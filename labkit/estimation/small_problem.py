@@ -20,7 +20,7 @@ from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.optics.psf import Pupil
 from labkit.optics.strehl import TILTS
-from labkit.target import Target
+from labkit.target.target import Target
 from labkit.types import Floats, Floats32
 
 

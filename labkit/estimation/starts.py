@@ -24,9 +24,9 @@ from labkit.imaging.optics import Optics
 from labkit.imaging.scene import Drawing
 from labkit.imaging.warp import Pose
 from labkit.imaging.window import WINDOW_AIRY
+from labkit.jobs.pace import in_words
 from labkit.optics.wavefront import DEFOCUS, FARTHEST_WAVES
-from labkit.pace import in_words
-from labkit.target import Target
+from labkit.target.target import Target
 from labkit.types import Floats
 
 

@@ -24,9 +24,9 @@ from labkit.estimation.settings import SETTINGS
 from labkit.estimation.starts import settled
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
-from labkit.processes import say
-from labkit.sharing import Shared
-from labkit.target import Target
+from labkit.jobs.processes import say
+from labkit.jobs.sharing import Shared
+from labkit.target.target import Target
 from labkit.types import Floats
 
 

@@ -17,7 +17,7 @@ from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
 from labkit.optics.zernike import twin_signs
 from labkit.plan import TargetSpec
-from labkit.target import Target, open_target
+from labkit.target.target import Target, open_target
 from labkit.types import Floats
 
 NOLL = tuple(range(4, 16))

@@ -15,11 +15,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
 from labkit.errors import InputError
-from labkit.execute import default_workers, run_all
 from labkit.experiments.studies import STUDIES
 from labkit.figure_style import png, styled
-from labkit.files import write_atomically
-from labkit.threads import one_thread
+from labkit.jobs.execute import default_workers, run_all
+from labkit.jobs.threads import one_thread
+from labkit.storage.files import write_atomically
 from labkit.types import Progress, no_progress
 
 Task = TypeVar("Task")

@@ -21,7 +21,7 @@ from labkit.experiments.conditions import (
 from labkit.experiments.runner import Claim, Outcome, Setting, all_answers
 from labkit.imaging.model import ForwardModel
 from labkit.plan import TargetSpec
-from labkit.target import Target, open_target
+from labkit.target.target import Target, open_target
 from labkit.types import Floats
 
 READ_NOISES = (0.25, 0.5, 0.68, 1.0, 2.0, 4.0, 8.0)  # counts

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from labkit.field.geometry import FieldGeometry
 from labkit.field.target_tilt import SeparatedTilt
-from labkit.findings import Finding, found
+from labkit.findings.findings import Finding, found
 
 
 def geometry_findings(geometry: FieldGeometry) -> Iterator[Finding]:

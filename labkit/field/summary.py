@@ -33,11 +33,11 @@ from labkit.field.target_tilt import SeparatedTilt
 from labkit.field.terms import LensTerms, lens_terms
 from labkit.field.tiles import Tile, covered, sign_is_open, tiles_of
 from labkit.field.turned import planned_screws
+from labkit.jobs.threads import one_thread
 from labkit.optics.field import FieldModel
 from labkit.optics.mtf import Curve, mtf, mtf50
 from labkit.plan import leading_channel
 from labkit.results import Results
-from labkit.threads import one_thread
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 

@@ -16,7 +16,7 @@ from labkit.field.session_geometry import corner_numbers
 from labkit.field.summary import FieldSummary
 from labkit.field.symmetry import Share
 from labkit.field.terms import LensTerms
-from labkit.spreadsheet import csv_text
+from labkit.storage.spreadsheet import csv_text
 from labkit.types import Floats
 from labkit.uncertain import Uncertain
 

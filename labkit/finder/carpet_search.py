@@ -20,7 +20,7 @@ from scipy import ndimage
 
 from labkit.finder.picture import Picture, Singles
 from labkit.finder.registration import OWN_CORNERS, correlation, mean_side
-from labkit.target import CellTarget, Target
+from labkit.target.target import CellTarget, Target
 from labkit.types import Bools, Floats
 
 COARSE_SIDE = 15

@@ -35,7 +35,7 @@ from labkit.finder.registration import (
 )
 from labkit.finder.template_search import likely_places
 from labkit.photographs.photograph import Photograph
-from labkit.target import Target
+from labkit.target.target import Target
 from labkit.types import Floats
 
 SCALE_TOLERANCE = 0.15

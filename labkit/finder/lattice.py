@@ -35,8 +35,8 @@ from labkit.finder.registration import (
 from labkit.finder.tile_places import Lattice, first_place
 from labkit.photographs.photograph import Photograph
 from labkit.plan import TargetSpec
-from labkit.target import Target, open_target
-from labkit.target_grid import Place, TargetGrid, open_grid
+from labkit.target.grid import Place, TargetGrid, open_grid
+from labkit.target.target import Target, open_target
 from labkit.types import Floats
 
 NEIGHBOURS = ((-1, 0), (1, 0), (0, -1), (0, 1))

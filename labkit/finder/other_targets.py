@@ -17,7 +17,7 @@ import numpy as np
 
 from labkit.finder.picture import Picture, Singles, single
 from labkit.finder.registration import covered, drawn_with_rim, homography, mean_side
-from labkit.target import CellTarget, Target, open_target
+from labkit.target.target import CellTarget, Target, open_target
 from labkit.types import Bools, Floats
 
 ANY_CARPET = "sierpinski:order=4,size_mm=30"

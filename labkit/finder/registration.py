@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labkit.finder.picture import Picture, Singles, normalised, single
-from labkit.target import Target
+from labkit.target.target import Target
 from labkit.types import Floats
 
 REGISTRATION_PASSES = ((40, (5,)), (160, (7, 5)), (320, (5,)))

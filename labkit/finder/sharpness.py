@@ -12,7 +12,7 @@ from labkit.errors import TargetError
 from labkit.finder.picture import Picture, grey_image
 from labkit.finder.registration import neighbourhood
 from labkit.photographs.photograph import WHOLE, Cut, Photograph, overlap
-from labkit.target import Target
+from labkit.target.target import Target
 from labkit.types import Floats
 
 FINEST_PX, BLUR_FACTOR = 0.8, 1.15

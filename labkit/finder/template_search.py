@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from labkit.finder.carpet_search import Likely
 from labkit.finder.picture import Picture, Singles
-from labkit.target import Target
+from labkit.target.target import Target
 from labkit.types import Floats
 
 TEMPLATE_SIDE = 48

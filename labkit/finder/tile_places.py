@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from labkit.errors import TargetError
 from labkit.finder.picture import Picture
 from labkit.finder.registration import OWN_CORNERS, homography, neighbourhood
-from labkit.target_grid import MARK_MODULES, Place, TargetGrid
+from labkit.target.grid import MARK_MODULES, Place, TargetGrid
 from labkit.types import Floats
 
 MODULE_PX = 8

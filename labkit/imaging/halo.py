@@ -11,7 +11,7 @@ from labkit.imaging.grid import Torus
 from labkit.imaging.scene import Scene
 from labkit.imaging.warp import Pose
 from labkit.optics.psf import diffraction_mtf
-from labkit.target import Target, on_dots
+from labkit.target.target import Target, on_dots
 from labkit.types import Floats
 
 POSE_MARGIN = (

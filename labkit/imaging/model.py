@@ -18,7 +18,7 @@ from labkit.imaging.scene import Drawing, Scene
 from labkit.imaging.warp import POSE_SIZE, Pose
 from labkit.imaging.window import WINDOW_AIRY
 from labkit.panel.drawn_target import PanelTarget
-from labkit.target import Target
+from labkit.target.target import Target
 from labkit.types import AnyComplexes, Bools, Complexes64, Floats, Floats32
 
 # cycles a pixel, up to which slopes are modelled: the first zero of an active pixel as wide as its pitch

@@ -15,10 +15,10 @@ from labkit.imaging.panel_aperture import Aperture
 from labkit.imaging.parts import KNOWN, Part, SpectrumWidth, rim_of
 from labkit.imaging.warp import Pose
 from labkit.imaging.window import window_for
-from labkit.mode_groups import MODE_GROUPS, USUAL_NOLL
 from labkit.optics.psf import Pupil
 from labkit.optics.rim import Place, Rim
 from labkit.optics.spectrum import Spectrum
+from labkit.plan.mode_groups import MODE_GROUPS, USUAL_NOLL
 from labkit.types import Floats
 
 

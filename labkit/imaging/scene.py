@@ -12,7 +12,7 @@ from labkit.imaging.brightness import Brightness
 from labkit.imaging.grid import Torus
 from labkit.imaging.warp import Pose
 from labkit.panel.drawn_target import PanelTarget
-from labkit.target import Target
+from labkit.target.target import Target
 from labkit.types import Complexes64, Floats, Floats32
 
 # Of the raster against the optics' Nyquist rate at the reference: a quintic spline errs by 3e-6 to 6e-6 RMS of white behind a

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from labkit.errors import DataError
-from labkit.files import refuse_links, write_atomically, writing
 from labkit.noise.emva import ChannelNoise, camera_model
 from labkit.noise.levels import Level, read_series
 from labkit.session.session import Session
+from labkit.storage.files import refuse_links, write_atomically, writing
 from labkit.types import Progress, no_progress
 from labkit.uncertain import Uncertain
 from labkit.version import __version__

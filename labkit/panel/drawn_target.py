@@ -2,7 +2,7 @@
 
 A stripe is a third of a pixel wide, shifted by a third from colour to colour, and lit over
 a share of its area: the aperture. Stripes are drawn in closed form, as in
-`labkit.target.CellTarget`.
+`labkit.target.target.CellTarget`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from labkit.arrays import real_array
 from labkit.errors import TargetError
 from labkit.panel import USUAL_APERTURE
-from labkit.target import Target, distinct, low_pass, on_dots
+from labkit.target.target import Target, distinct, low_pass, on_dots
 from labkit.types import Floats
 
 STRIPES = 3

@@ -7,8 +7,8 @@ import math
 from labkit.errors import PlanError
 from labkit.panel import PanelInfo
 from labkit.plan import DisplaySettings, Plan
-from labkit.target import CellTarget, Target
-from labkit.target_grid import TargetGrid
+from labkit.target.grid import TargetGrid
+from labkit.target.target import CellTarget, Target
 
 PAPER_PIXELS = 500
 """At least, along a target's height on simulated paper."""

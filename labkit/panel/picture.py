@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from labkit.errors import TargetError
 from labkit.panel import PanelInfo
-from labkit.target import CellTarget, Target, on_dots
-from labkit.target_grid import TargetGrid
+from labkit.target.grid import TargetGrid
+from labkit.target.target import CellTarget, Target, on_dots
 from labkit.types import Floats
 
 SIZE_TOLERANCE = 0.02

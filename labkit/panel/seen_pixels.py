@@ -15,11 +15,11 @@ import cv2
 import numpy as np
 
 from labkit.errors import PlanError
-from labkit.findings import Finding, found
+from labkit.findings.findings import Finding, found
 from labkit.panel.stripe_contrast import LEAST_STRIPE_CONTRAST
 from labkit.plan import TargetPixels
 from labkit.plan.plan import COLOUR_WORDS
-from labkit.target import CellTarget, Target
+from labkit.target.target import CellTarget, Target
 from labkit.types import Bools, Complexes, Floats
 
 SEARCHED_MIDDLE = 0.4

@@ -8,7 +8,7 @@ from labkit.panel.panels import panel_pitch_mm
 from labkit.panel.picture import whole_pixels
 from labkit.plan import Plan
 from labkit.plan.plan import COLOUR_WORDS
-from labkit.target import CellTarget, Target
+from labkit.target.target import CellTarget, Target
 
 
 def as_shown(plan: Plan, target: Target, channel: str) -> Target:

@@ -9,7 +9,6 @@ from typing import Literal
 
 import tifffile
 
-from labkit.apart import run_apart
 from labkit.errors import InputError, RawError, shown
 from labkit.photographs.exif import read_exif
 from labkit.photographs.metadata import refuse_impossible
@@ -19,7 +18,8 @@ from labkit.photographs.picture_file import (
     check_strips,
     format_of,
 )
-from labkit.reading import opened_photograph
+from labkit.storage.apart import run_apart
+from labkit.storage.reading import opened_photograph
 
 OTHER_RAW = re.compile(
     rb"IIRO|IIRS|MMOR|IIU\0"  # Olympus, Panasonic

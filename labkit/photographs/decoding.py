@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 
-from labkit.apart import run_apart
 from labkit.errors import InputError, RawError
 from labkit.photographs.container import Container, recognise
 from labkit.photographs.photograph import WHOLE, Cut, Photograph
@@ -24,7 +23,8 @@ from labkit.photographs.processed_picture import (
 )
 from labkit.plan import Sensor
 from labkit.plan.sensor import MONO, pattern_of
-from labkit.reading import MOST_PHOTOGRAPH_BYTES, read_bytes
+from labkit.storage.apart import run_apart
+from labkit.storage.reading import MOST_PHOTOGRAPH_BYTES, read_bytes
 
 
 def read_photograph(path: Path, sensor: Sensor, cut: Cut = WHOLE) -> Photograph:

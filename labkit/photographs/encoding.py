@@ -14,7 +14,7 @@ import tifffile
 
 from labkit.errors import InputError
 from labkit.photographs.picture_file import JPEG, PNG, format_of, png_chunks, read_header
-from labkit.reading import opened_photograph
+from labkit.storage.reading import opened_photograph
 from labkit.types import Floats
 
 MOST_PROFILE_BYTES = 2**24

@@ -13,11 +13,11 @@ from typing import Any, BinaryIO
 from PIL import Image
 from PIL.ExifTags import IFD, Base
 
-from labkit.apart import run_apart
 from labkit.errors import InputError
 from labkit.photographs.metadata import LONGEST_STATEMENT, refuse_impossible
 from labkit.photographs.picture_file import JPEG, PNG, TIFF, png_chunks, read_header
-from labkit.reading import opened_photograph
+from labkit.storage.apart import run_apart
+from labkit.storage.reading import opened_photograph
 
 UNIT_UM = {2: 25_400.0, 3: 10_000.0, 4: 1000.0, 5: 1.0}
 """Of FocalPlaneResolutionUnit."""

@@ -16,7 +16,7 @@ from labkit.photographs.container import Container
 from labkit.photographs.exif import positive_number, whole_number
 from labkit.photographs.photograph import Photograph
 from labkit.plan.sensor import MONO
-from labkit.reading import opened_photograph
+from labkit.storage.reading import opened_photograph
 
 DAMAGE = ("data corrupted", "Unexpected end of file")
 """LibRaw's messages about damaged files decoded nevertheless."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labkit.findings import Finding
+from labkit.findings.findings import Finding
 from labkit.photographs.metadata import refuse_impossible
 from labkit.photographs.tone_curve import ToneCurve
 from labkit.plan.sensor import IN_COLOURS, MONO, ChannelPixels, channel_pixels, places_of

@@ -1,7 +1,7 @@
 """Pictures in PNG, PGM, TIFF and JPEG files: the numbers as they are stored, and the segments of a JPEG.
 
 The format is recognised by the first bytes, whatever the name. Declared sizes are checked before anything is decoded, and
-all is read in the process with limits of memory and time of `labkit.apart`: a damaged file ends in a message, quickly.
+all is read in the process with limits of memory and time of `labkit.storage.apart`: a damaged file ends in a message, quickly.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-from labkit.apart import DAMAGED, run_apart
 from labkit.errors import InputError, shown
-from labkit.reading import opened_photograph
+from labkit.storage.apart import DAMAGED, run_apart
+from labkit.storage.reading import opened_photograph
 
 JPEG = b"\xff\xd8"
 EXIF_MARK = b"Exif\0\0"

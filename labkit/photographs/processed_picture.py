@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from labkit.errors import InputError, RawError
-from labkit.findings import found
+from labkit.findings.findings import found
 from labkit.photographs.container import Container
 from labkit.photographs.encoding import read_encoding, srgb
 from labkit.photographs.photograph import Photograph

@@ -16,7 +16,6 @@ from pydantic import (
     model_validator,
 )
 
-from labkit.mode_groups import MODE_GROUPS, MOST_NOLL, USUAL_NOLL
 from labkit.plan.fields import (
     LONGEST_PATH,
     Address,
@@ -35,6 +34,7 @@ from labkit.plan.fields import (
     problem,
     repeated,
 )
+from labkit.plan.mode_groups import MODE_GROUPS, MOST_NOLL, USUAL_NOLL
 from labkit.plan.table import Error, Table, refuse_larger, stated
 from labkit.uncertain import Uncertain
 

@@ -15,9 +15,9 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from labkit import reading
 from labkit.errors import LONGEST_VALUE, PlanError, shown
 from labkit.plan.fields import MOST_PROBLEMS, joined, what_it_takes
+from labkit.storage import reading
 
 DEEPEST_TABLE = 6
 """Deepest nesting of tables and lists: corners are nested three deep."""

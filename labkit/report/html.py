@@ -16,7 +16,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from labkit.errors import DataError, InputError
 from labkit.figure_style import channel_inks
-from labkit.files import refuse_links, write_atomically, writing
+from labkit.jobs.threads import one_thread
 from labkit.key import Tile
 from labkit.optics.through_focus import ThroughFocus
 from labkit.optics.zernike import mode_name
@@ -36,8 +36,8 @@ from labkit.report.table import (
 )
 from labkit.report.tiles import central_tile, of_tile
 from labkit.results import Results, Wavefront
-from labkit.spreadsheet import Cell, csv_text
-from labkit.threads import one_thread
+from labkit.storage.files import refuse_links, write_atomically, writing
+from labkit.storage.spreadsheet import Cell, csv_text
 from labkit.types import Floats, Progress, no_progress
 
 if TYPE_CHECKING:

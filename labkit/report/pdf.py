@@ -12,8 +12,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from labkit.errors import LabkitError, shown
-from labkit.files import write_atomically
-from labkit.reading import read_bytes
+from labkit.storage.files import write_atomically
+from labkit.storage.reading import read_bytes
 
 BROWSERS = (
     "chromium",

@@ -9,7 +9,7 @@ from tempfile import NamedTemporaryFile
 
 import numpy as np
 
-from labkit.files import writing
+from labkit.storage.files import writing
 from labkit.types import Floats32
 
 BAND_ROWS = 128  # rows of a picture that are held in memory at once

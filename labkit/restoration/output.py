@@ -13,8 +13,8 @@ import tifffile
 from PIL import Image
 
 from labkit.errors import InputError
-from labkit.files import replacing, write_atomically, writing
 from labkit.restoration.canvas import BAND_ROWS, Canvas
+from labkit.storage.files import replacing, write_atomically, writing
 from labkit.types import Floats32
 
 RESTORED, STD, SHOWN, RESTORATION_JSON, SIXTEEN = (

@@ -16,7 +16,7 @@ from labkit.analysis.measured_camera import optics_behind
 from labkit.calibration.calibrate import calibrate
 from labkit.calibration.needed import Needed
 from labkit.errors import DataError
-from labkit.execute import Workers
+from labkit.jobs.execute import Workers
 from labkit.key import same_range
 from labkit.optics.lens import blur_per_wave_um
 from labkit.plan.sensor import MONO

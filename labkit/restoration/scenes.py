@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Protocol
 
 from labkit.errors import DataError, SessionError
-from labkit.execute import default_workers
-from labkit.files import links_in, refuse_links
+from labkit.jobs.execute import default_workers
+from labkit.jobs.threads import one_thread
 from labkit.restoration.restored_photographs import (
     Restoration,
     Say,
@@ -20,7 +20,7 @@ from labkit.restoration.restored_photographs import (
 from labkit.restoration.strength import DISCREPANCY, Choice
 from labkit.results import Results
 from labkit.session.session import Session
-from labkit.threads import one_thread
+from labkit.storage.files import links_in, refuse_links
 from labkit.types import Progress, no_progress
 
 

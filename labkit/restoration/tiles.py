@@ -15,7 +15,7 @@ from typing import TypeVar
 import numpy as np
 from scipy import ndimage
 
-from labkit.execute import Run, Workers, in_order
+from labkit.jobs.execute import Run, Workers, in_order
 from labkit.restoration.calibration import calibrate_errors
 from labkit.restoration.canvas import BAND_ROWS, Canvas
 from labkit.restoration.errors import standard_errors

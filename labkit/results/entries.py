@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from labkit.mode_groups import MODE_GROUPS, USUAL_NOLL
 from labkit.optics.metrics import rms_by_order
 from labkit.optics.rim import Circle, Cut, Diaphragm, Rim
+from labkit.plan.mode_groups import MODE_GROUPS, USUAL_NOLL
 from labkit.results.kept import (
     Degrees,
     Entry,

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from labkit.errors import DataError
-from labkit.findings import Finding
+from labkit.findings.findings import Finding
 from labkit.key import Key, same_range
 from labkit.optics.field import FieldModel
 from labkit.optics.lens import ThinLens

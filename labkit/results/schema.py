@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from labkit.errors import LONGEST_VALUE, shown
-from labkit.findings import NOTE, Finding
+from labkit.findings.findings import NOTE, Finding
 from labkit.key import Key
 from labkit.optics.rim import ROUND
 from labkit.optics.spectrum import Spectrum

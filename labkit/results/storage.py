@@ -13,9 +13,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from labkit import npz
 from labkit.errors import DataError, NewerError, PlanError, shown
-from labkit.files import (
+from labkit.key import Key
+from labkit.optics.field import FieldModel
+from labkit.plan import Plan
+from labkit.results.arrays import RESIDUAL_PARTS, Mapped, Named, psfs
+from labkit.results.arrays import residuals as kept_residuals
+from labkit.results.model import Residuals, Wavefront
+from labkit.results.schema import READABLE, Content
+from labkit.storage import npz
+from labkit.storage.files import (
     check_name,
     drop_link,
     refuse_links,
@@ -23,14 +30,7 @@ from labkit.files import (
     write_atomically,
     writing,
 )
-from labkit.key import Key
-from labkit.optics.field import FieldModel
-from labkit.plan import Plan
-from labkit.reading import read_bytes, read_text, reason
-from labkit.results.arrays import RESIDUAL_PARTS, Mapped, Named, psfs
-from labkit.results.arrays import residuals as kept_residuals
-from labkit.results.model import Residuals, Wavefront
-from labkit.results.schema import READABLE, Content
+from labkit.storage.reading import read_bytes, read_text, reason
 
 if TYPE_CHECKING:
     from labkit.results.results import Results

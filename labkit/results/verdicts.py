@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import replace
 from math import nan
 
-from labkit.findings import Finding
+from labkit.findings.findings import Finding
 from labkit.results.model import OptimumTest, Wavefront
 from labkit.uncertain import Uncertain, decimals
 

@@ -11,7 +11,7 @@ from labkit.photographs.container import recognise
 from labkit.plan import Plan
 from labkit.session.session import Session
 from labkit.spectra import TYPICAL, body_of
-from labkit.target import open_target
+from labkit.target.target import open_target
 
 
 def with_body_filters(session: Session, plan: Plan) -> Plan:

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from labkit.errors import RawError, printable
-from labkit.files import write_new
 from labkit.photographs.container import Container, recognise
 from labkit.photographs.decoding import read_photograph
 from labkit.photographs.exif import DIAGONAL_35MM_MM, Exif, read_exif
 from labkit.photographs.processed_picture import is_processed, read_file
 from labkit.plan import Sensor
+from labkit.storage.files import write_new
 
 ANY = Sensor(pixel_pitch_um=1.0)
 PITCHES_UM = (0.5, 50.0)

@@ -14,8 +14,8 @@ from datetime import datetime
 from pathlib import Path
 
 from labkit.errors import SessionError
-from labkit.files import remove_unfinished, writing
-from labkit.reading import MOST_NOTE_BYTES, opened_to_append, read_text
+from labkit.storage.files import remove_unfinished, writing
+from labkit.storage.reading import MOST_NOTE_BYTES, opened_to_append, read_text
 
 
 @contextmanager

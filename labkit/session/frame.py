@@ -12,9 +12,9 @@ from types import MappingProxyType
 from typing import Any
 
 from labkit.errors import SessionError
-from labkit.files import is_name
-from labkit.findings import Finding, found
+from labkit.findings.findings import Finding, found
 from labkit.session.journal import Event
+from labkit.storage.files import is_name
 from labkit.types import FRAME_KINDS, FrameKind
 
 FRAMES_FOLDER = "frames"

@@ -19,7 +19,7 @@ import numpy as np
 from labkit.errors import DataError, InputError, RawError, TargetError, shown
 from labkit.finder.cut import cut_around
 from labkit.finder.lattice import find_targets
-from labkit.findings import Finding
+from labkit.findings.findings import Finding
 from labkit.photographs.alterations import Alterations, alterations
 from labkit.photographs.decoding import read_photograph
 from labkit.photographs.exposure import difference, exposure_problem
@@ -28,12 +28,12 @@ from labkit.plan import Plan
 from labkit.plan.fields import LONGEST_PATH, joined
 from labkit.plan.sensor import MONO
 from labkit.plan.text import numbers_meant
-from labkit.reading import read_text
 from labkit.session.making import made_beside, refuse_existing
 from labkit.session.session import Session
 from labkit.session.stated import contradictions
 from labkit.session.stored_plan import plan_source
-from labkit.target import open_target
+from labkit.storage.reading import read_text
+from labkit.target.target import open_target
 from labkit.types import FRAME_KINDS, FrameKind, Progress, no_progress
 
 COLUMNS = ("file", "kind", "range_mm")

@@ -19,13 +19,13 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from labkit.errors import InputError, SessionError
-from labkit.files import (
+from labkit.storage.files import (
     open_standard_streams,
     refuse_links,
     write_atomically,
     writing,
 )
-from labkit.reading import opened, opened_to_append, read_bytes
+from labkit.storage.reading import opened, opened_to_append, read_bytes
 
 Event = dict[str, Any]
 

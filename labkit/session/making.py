@@ -10,8 +10,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from labkit.errors import SessionError
-from labkit.files import sync_folder, writing
 from labkit.session.journal import JOURNAL, is_being_written
+from labkit.storage.files import sync_folder, writing
 
 HALF_MADE = re.compile(r"\..+\.(\d+)\.(?:new|import)")
 """What is being made is called so: by whom, a process id, and how."""

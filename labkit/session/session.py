@@ -17,15 +17,6 @@ from types import TracebackType
 from typing import Any, Self
 
 from labkit.errors import PlanError, SessionError
-from labkit.files import (
-    check_name,
-    copy_durably,
-    links_in,
-    refuse_links,
-    sha256_of,
-    sync_folder,
-    writing,
-)
 from labkit.plan import Plan
 from labkit.session.frame import (
     FRAMES_FOLDER,
@@ -53,6 +44,15 @@ from labkit.session.stored_plan import (
     plan_damage,
     plan_source,
     store_plan,
+)
+from labkit.storage.files import (
+    check_name,
+    copy_durably,
+    links_in,
+    refuse_links,
+    sha256_of,
+    sync_folder,
+    writing,
 )
 from labkit.types import FRAME_KINDS, FrameKind
 from labkit.version import __version__

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from labkit.findings import Finding, found
+from labkit.findings.findings import Finding, found
 from labkit.photographs.exif import Exif, read_exif
 from labkit.plan import Plan
 from labkit.types import FrameKind

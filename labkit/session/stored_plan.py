@@ -10,16 +10,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from labkit.errors import SessionError, printable
-from labkit.files import (
+from labkit.plan import Plan
+from labkit.plan.text import read_text
+from labkit.session.journal import Event
+from labkit.storage.files import (
     check_name,
     checksum_problem,
     copy_durably,
     sha256_of,
     write_atomically,
 )
-from labkit.plan import Plan
-from labkit.plan.text import read_text
-from labkit.session.journal import Event
 
 PLAN_FILE = "plan.toml"
 

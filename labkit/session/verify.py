@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from labkit.errors import SessionError
-from labkit.files import checksum_problem, link_problem, links_in
-from labkit.findings import Finding, found
+from labkit.findings.findings import Finding, found
 from labkit.session.frame import FRAMES_FOLDER, pending
 from labkit.session.journal import JOURNAL, is_being_written
 from labkit.session.session import Session, leftovers, unlisted
+from labkit.storage.files import checksum_problem, link_problem, links_in
 
 PUT_BACK = (
     "put back a copy of each, from a backup or the camera's card; without one, import those that are whole as a new "

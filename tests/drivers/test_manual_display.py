@@ -18,7 +18,7 @@ from labkit.errors import DeviceError, PlanError
 from labkit.panel.panels import paper_panel
 from labkit.plan import Plan
 from labkit.session.session import Session, begin
-from labkit.target import open_target
+from labkit.target.target import open_target
 from tests.plans import SMALL, plan_text, simulated
 
 

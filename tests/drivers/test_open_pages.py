@@ -8,7 +8,7 @@ import pytest
 
 from labkit.devices.inventory import list_connected
 from labkit.drivers.web.open_pages import find_pages
-from labkit.files import state_folder
+from labkit.storage.files import state_folder
 
 from .conftest import Lab
 

@@ -15,7 +15,7 @@ from labkit.drivers.web.server import NOT_UNDERSTOOD, TOO_LONG
 from labkit.errors import DisplayError
 from labkit.panel.picture import panel_picture
 from labkit.plan import TargetSpec
-from labkit.target import open_target
+from labkit.target.target import open_target
 
 from .conftest import Glass, Lab, until
 

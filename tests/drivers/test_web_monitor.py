@@ -31,7 +31,7 @@ from labkit.photographs.decoding import read_photograph
 from labkit.photographs.photograph import Photograph
 from labkit.plan import Plan, TargetSpec
 from labkit.session.session import Session, begin
-from labkit.target import open_target
+from labkit.target.target import open_target
 
 from .conftest import WAIT_S, Glass, Lab, reads, small_bench
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.signal import fftconvolve
 
 from labkit.imaging.optics import Optics
-from labkit.target import CellTarget
+from labkit.target.target import CellTarget
 from labkit.types import Floats
 
 CARPET = CellTarget(

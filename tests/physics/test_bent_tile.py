@@ -24,7 +24,7 @@ from labkit.estimation.local import Guesses, Optimum, Views, find_optima
 from labkit.field.tile_bend import bend_of
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import CORNER_X, CORNER_Y, Pose
-from labkit.target import CellTarget
+from labkit.target.target import CellTarget
 from labkit.targets.sierpinski import carpet_cells
 from labkit.types import Floats
 

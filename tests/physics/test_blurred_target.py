@@ -10,7 +10,7 @@ import pytest
 from benchmarks.random_sessions import draw_with_parts, make
 from labkit.finder.find_target import find_target
 from labkit.photographs.decoding import read_photograph
-from labkit.target import open_target
+from labkit.target.target import open_target
 
 
 @pytest.mark.slow

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labkit.execute import Workers
 from labkit.experiments import restoration as study
 from labkit.experiments.camera import Camera
 from labkit.experiments.conditions import NOLL
 from labkit.experiments.picture_camera import PictureCamera
+from labkit.jobs.execute import Workers
 from labkit.restoration.canvas import Canvas
 from labkit.restoration.strength import DISCREPANCY
 from labkit.restoration.tiles import restore_job

@@ -16,7 +16,7 @@ from labkit.finder.find_target import find_target
 from labkit.photographs.decoding import read_photograph
 from labkit.plan import Plan
 from labkit.session.session import Session
-from labkit.target import open_target
+from labkit.target.target import open_target
 
 GOLDEN = Path(__file__).parents[2].parent / "shared" / "golden"
 

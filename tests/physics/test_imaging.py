@@ -13,7 +13,7 @@ from labkit.imaging.model import ForwardModel
 from labkit.imaging.scene import Scene
 from labkit.imaging.warp import Pose
 from labkit.optics.psf import Pupil
-from labkit.target import CellTarget
+from labkit.target.target import CellTarget
 from labkit.types import Floats
 
 from .brute_force import (

@@ -10,7 +10,7 @@ from labkit.imaging.halo import light_beyond
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import CORNER_X, CORNER_Y, Pose
-from labkit.target import CellTarget
+from labkit.target.target import CellTarget
 from labkit.targets.sierpinski import carpet_cells
 from labkit.types import Floats
 

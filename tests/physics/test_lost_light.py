@@ -25,7 +25,7 @@ from labkit.estimation.local import Views
 from labkit.imaging.optics import Optics
 from labkit.imaging.parts import Blades
 from labkit.imaging.warp import Pose
-from labkit.sharing import share
+from labkit.jobs.sharing import share
 
 from .test_scene import carpet
 

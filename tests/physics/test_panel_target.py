@@ -11,7 +11,7 @@ from labkit.errors import TargetError
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.panel_aperture import Aperture
 from labkit.panel.drawn_target import PanelTarget
-from labkit.target import CellTarget, low_pass
+from labkit.target.target import CellTarget, low_pass
 from labkit.types import Floats
 from tests.unit.test_cone import CARPET, OPTICS, POSE, TRUTH
 

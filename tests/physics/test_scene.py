@@ -7,7 +7,7 @@ from labkit.imaging.grid import Torus
 from labkit.imaging.scene import Scene
 from labkit.imaging.warp import Pose
 from labkit.optics.psf import diffraction_mtf
-from labkit.target import CellTarget
+from labkit.target.target import CellTarget
 from labkit.types import Complexes
 
 AIRY_UM, PITCH_UM, FRAME = 4.4, 5.5, (90, 90)  # 2.5 times undersampled

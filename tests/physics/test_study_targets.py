@@ -9,7 +9,7 @@ import pytest
 
 from labkit.experiments.conditions import carpet, draw_trial
 from labkit.experiments.targets import READ_NOISES, SPECS, bounds
-from labkit.target import CellTarget
+from labkit.target.target import CellTarget
 from tests.studies import quick
 
 

@@ -26,7 +26,7 @@ from labkit.drivers.simulated.setup import settings_for
 from labkit.errors import RawError
 from labkit.plan import Plan
 from labkit.session.session import Session, begin
-from labkit.target import open_target
+from labkit.target.target import open_target
 
 from .conftest import ADDRESS, PLAN, ContextMaker, small_bench
 

@@ -14,10 +14,10 @@ from pathlib import Path
 
 import pytest
 
-from labkit import cluster
 from labkit.cli import run
-from labkit.cluster import on_dask
 from labkit.errors import InputError, WorkersError
+from labkit.jobs import cluster
+from labkit.jobs.cluster import on_dask
 
 pytestmark = pytest.mark.slow
 

@@ -13,7 +13,7 @@ from labkit.drivers.simulated.field import Distortion
 from labkit.imaging.warp import Pose
 from labkit.plan import FieldSettings
 from labkit.session.import_frames import import_frames
-from labkit.target import CellTarget
+from labkit.target.target import CellTarget
 from labkit.targets.sierpinski import carpet_cells
 from labkit.types import Floats
 from tests.dng import write_dng

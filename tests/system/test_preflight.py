@@ -29,7 +29,7 @@ from labkit.photographs.decoding import read_photograph
 from labkit.plan import Plan
 from labkit.session.session import Session, begin
 from labkit.session.verify import remarks, verify
-from labkit.target import open_target
+from labkit.target.target import open_target
 from tests.plans import IPAD, PORTRAIT, plan_text, simulated
 
 from .conftest import ContextMaker

@@ -16,10 +16,10 @@ import pytest
 from labkit.analysis.fit import fit
 from labkit.cli import run
 from labkit.errors import DataError, InputError
-from labkit.files import writing
 from labkit.plan import Plan
 from labkit.results import Results
 from labkit.session.session import Session
+from labkit.storage.files import writing
 
 from .conftest import capture_few
 

@@ -136,7 +136,9 @@ def test_tiles_are_restored_on_every_core_and_the_memory_that_is_said_counts_the
 ) -> None:
     image, said = photograph(tmp_path / "a.tif"), list[float]()
     for name, cores in (("one", 1), ("four", 4)):
-        monkeypatch.setattr("labkit.execute.default_workers", lambda cores=cores: cores)
+        monkeypatch.setattr(
+            "labkit.jobs.execute.default_workers", lambda cores=cores: cores
+        )
         out = ["--out", str(tmp_path / name), "--tile", "32"]
         assert run(["restore", str(image), "--psf", str(session), *out]) == 0
         ((tiles, photographs),) = re.findall(

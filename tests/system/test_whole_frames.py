@@ -12,8 +12,8 @@ import labkit
 from labkit.analysis.observe import observe
 from labkit.estimation.local import Guesses, Optimum, Views, find_optima
 from labkit.estimation.stated import optics_of
-from labkit.findings import Finding
-from labkit.target import open_target
+from labkit.findings.findings import Finding
+from labkit.target.target import open_target
 from labkit.types import Floats
 from tests.whole_frames import Embedding, embed_session
 

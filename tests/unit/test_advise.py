@@ -16,11 +16,11 @@ from labkit.errors import DataError, PlanError
 from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.imaging.warp import Pose
-from labkit.mode_groups import MODE_GROUPS
 from labkit.optics.lens import TELLING_STD
 from labkit.panel.stripe_contrast import stripe_contrast
 from labkit.plan import Plan
-from labkit.target import open_target
+from labkit.plan.mode_groups import MODE_GROUPS
+from labkit.target.target import open_target
 from labkit.types import Floats
 from tests.plans import PORTRAIT, plan_text
 

@@ -20,14 +20,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labkit import apart
-from labkit.apart import LENGTH, run_apart
-from labkit.confinement import ASK_VERSION, CREATE_RULESET, FIRST_WITH_NETWORK
 from labkit.errors import InputError, RawError
 from labkit.photographs.decoding import read_photograph
 from labkit.photographs.exif import Exif
 from labkit.photographs.photograph import Photograph
 from labkit.plan import Sensor
+from labkit.storage import apart
+from labkit.storage.apart import LENGTH, run_apart
+from labkit.storage.confinement import ASK_VERSION, CREATE_RULESET, FIRST_WITH_NETWORK
 from labkit.types import Floats
 
 FILE = Path(__file__)

@@ -44,7 +44,7 @@ from labkit.optics.lens import (
 )
 from labkit.optics.psf import Pupil, diffraction_mtf, smooth_disc
 from labkit.optics.zernike import zernike
-from labkit.target import CellTarget
+from labkit.target.target import CellTarget
 from labkit.targets.slanted_edge import SlantedEdge
 
 OPTICS = Optics(

@@ -15,7 +15,7 @@ from labkit.calibration.calibrate import Calibration, ChannelData, calibrate, ch
 from labkit.calibration.masters import clipped_mean, shrunk, smooth_illumination
 from labkit.calibration.needed import Needed
 from labkit.errors import DataError, RawError
-from labkit.findings import Finding
+from labkit.findings.findings import Finding
 from labkit.photographs.decoding import read_photograph
 from labkit.session.frame import Frame
 from labkit.types import Floats, FrameKind

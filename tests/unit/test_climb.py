@@ -24,7 +24,7 @@ from labkit.imaging.model import ForwardModel
 from labkit.imaging.optics import Optics
 from labkit.imaging.scene import Drawing
 from labkit.imaging.warp import Pose
-from labkit.target import CellTarget
+from labkit.target.target import CellTarget
 from labkit.types import Floats
 
 OPTICS = Optics(

@@ -16,8 +16,8 @@ from labkit.estimation.settings import SETTINGS
 from labkit.imaging.optics import Optics
 from labkit.imaging.parts import CatsEye
 from labkit.imaging.warp import Pose
-from labkit.sharing import share
-from labkit.target import CellTarget
+from labkit.jobs.sharing import share
+from labkit.target.target import CellTarget
 from labkit.types import Floats
 
 OPTICS = Optics(

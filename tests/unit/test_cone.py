@@ -24,7 +24,7 @@ from labkit.imaging.optics import Optics
 from labkit.imaging.parts import CatsEye, LowPass, Obstruction
 from labkit.imaging.warp import Pose
 from labkit.optics.spectrum import WIDEST_SPECTRUM, Spectrum
-from labkit.target import CellTarget
+from labkit.target.target import CellTarget
 from labkit.types import Floats
 
 OPTICS = Optics(

@@ -13,7 +13,7 @@ import pytest
 from labkit.acquisition.log import CaptureLog
 from labkit.cli import console as console_module
 from labkit.cli.console import Console
-from labkit.pace import PAUSED, Work
+from labkit.jobs.pace import PAUSED, Work
 
 
 def test_without_a_terminal_a_line_says_how_far_it_is(
@@ -62,7 +62,7 @@ def test_time_left_cannot_be_taken_for_the_time_so_far(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     clock = [0.0]
-    monkeypatch.setattr("labkit.pace.time.monotonic", lambda: clock[0])
+    monkeypatch.setattr("labkit.jobs.pace.time.monotonic", lambda: clock[0])
     work = Work("capturing")
     work.report(0, 13, "homing the rail")
     clock[0] = 15.0
@@ -81,7 +81,7 @@ def test_an_expected_time_is_counted_down_until_steps_show_a_pace(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     clock = [0.0]
-    monkeypatch.setattr("labkit.pace.time.monotonic", lambda: clock[0])
+    monkeypatch.setattr("labkit.jobs.pace.time.monotonic", lambda: clock[0])
     work = Work("fitting", expected_s=180.0)
     work.report(0, 0, "searching from nothing")
     clock[0] = 10.0
@@ -117,7 +117,7 @@ def test_a_pause_on_the_page_is_seen_in_the_terminal() -> None:
 
 def test_a_pause_does_not_count_as_work(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = [0.0]
-    monkeypatch.setattr("labkit.pace.time.monotonic", lambda: clock[0])
+    monkeypatch.setattr("labkit.jobs.pace.time.monotonic", lambda: clock[0])
     work = Work("capturing")
     work.report(0, 3, "a")
     clock[0] = 10.0

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labkit import npz
 from labkit.errors import DataError
 from labkit.report.html import write_report
 from labkit.results import Results
+from labkit.storage import npz
 from tests.results_contracts import CONTRACT_3, printed
 from tests.results_samples import full_results, some_results, written
 

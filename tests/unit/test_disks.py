@@ -8,7 +8,7 @@ from scipy.special import j1
 
 from labkit.errors import PlanError, TargetError
 from labkit.plan import TargetSpec
-from labkit.target import open_target
+from labkit.target.target import open_target
 from labkit.targets.disks import Disks
 
 

@@ -12,7 +12,7 @@ import pytest
 from labkit.cli.command_line import _words
 from labkit.cli.console import Console
 from labkit.errors import out_of_memory
-from labkit.execute import NO_MEMORY, Lost, _outcome
+from labkit.jobs.execute import NO_MEMORY, Lost, _outcome
 
 NAMED_CAUSE = OSError("Could not find/load shared object file 'libllvmlite.so'")
 NAMED_CAUSE.__cause__ = OSError("libllvmlite.so: failed to map segment from shared object")

@@ -18,7 +18,7 @@ from typing import NoReturn
 import pytest
 
 from labkit.errors import FitError, LostTasksError, WorkersError
-from labkit.execute import (
+from labkit.jobs.execute import (
     NO_MEMORY,
     Executed,
     Workers,
@@ -26,12 +26,12 @@ from labkit.execute import (
     map_in_order,
     run_all,
 )
+from labkit.jobs.processes import say
 from labkit.numerics import versions
-from labkit.processes import say
 
 HOURS = """
 import time
-from labkit.execute import run_all
+from labkit.jobs.execute import run_all
 if __name__ == "__main__":
     results = run_all(time.sleep, [0, 3600, 3600], 2)
     next(results)
@@ -41,7 +41,7 @@ if __name__ == "__main__":
 
 PLAIN = """
 from math import factorial
-from labkit.execute import run_all
+from labkit.jobs.execute import run_all
 print(sorted(run_all(factorial, [5, 6, 7], 2)), __name__, __file__)
 """
 
@@ -255,7 +255,7 @@ def test_what_is_lost_is_named_where_an_executor_takes_no_task() -> None:
 
 def test_a_worker_of_other_versions_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     sent = {**versions(), "NumPy": "1.0"}
-    monkeypatch.setattr("labkit.execute.versions", lambda: sent)
+    monkeypatch.setattr("labkit.jobs.execute.versions", lambda: sent)
     with ThreadPoolExecutor(1) as executor, pytest.raises(WorkersError) as caught:
         list(Executed(executor, 1)(factorial, [1]))
     assert re.fullmatch(

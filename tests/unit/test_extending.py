@@ -21,7 +21,7 @@ from labkit.devices.context import DeviceContext
 from labkit.devices.registry import open_rail
 from labkit.errors import DeviceTimeoutError, RailError, RailLimitError, TargetError
 from labkit.plan import Plan
-from labkit.target import open_target
+from labkit.target.target import open_target
 from tests.plans import SMALL, plan_text
 
 PAGES = Path(__file__).parents[2] / "docs" / "extend"

@@ -13,7 +13,7 @@ from labkit.cli.command_line import run
 from labkit.field.session_geometry import session_geometry
 from labkit.field.summary import LEAN_NOTE, summarise_field
 from labkit.field.tables import coverage, headline
-from labkit.findings import Finding
+from labkit.findings.findings import Finding
 from labkit.key import Key
 from labkit.optics.field import FieldModel
 from labkit.results import Placement, Results

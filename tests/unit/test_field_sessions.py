@@ -25,7 +25,7 @@ from labkit.photographs.photograph import WHOLE, Cut, Photograph
 from labkit.plan import Plan
 from labkit.plan.sensor import Sensor
 from labkit.session.import_frames import import_frames
-from labkit.target import open_target
+from labkit.target.target import open_target
 from tests.plans import SMALL, plan_text, simulated
 from tests.results_samples import some_results
 

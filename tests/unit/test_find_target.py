@@ -17,7 +17,7 @@ from labkit.errors import TargetError
 from labkit.experiments.conditions import carpet, draw_trial
 from labkit.finder.find_target import find_target
 from labkit.finder.picture import Picture, grey_image
-from labkit.target import CellTarget
+from labkit.target.target import CellTarget
 from labkit.targets.image import read_radiance
 from labkit.targets.sierpinski import carpet_cells
 from labkit.types import Floats

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labkit.finding_texts import TEXTS
-from labkit.findings import (
+from labkit.findings.findings import (
     UNANSWERED_CODES,
     Finding,
     Moves,
@@ -31,6 +30,7 @@ from labkit.findings import (
     unanswered,
     undetermined,
 )
+from labkit.findings.texts import TEXTS
 from labkit.imaging.parts import KNOWN
 from labkit.key import Key
 from labkit.results.schema import FindingEntry

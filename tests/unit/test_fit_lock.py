@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from labkit.errors import InputError, SessionError
-from labkit.files import replacing
 from labkit.session.fit_lock import fitted_alone
+from labkit.storage.files import replacing
 
 
 def hold(folder: Path, held: Connection) -> None:

@@ -11,11 +11,8 @@ ROOT = Path(__file__).parents[2]
 
 LAYERS = {
     "base": [
-        *("types", "errors", "key", "mode_groups", "pace", "uncertain", "version"),
-        *("finding_texts", "findings", "reading", "files", "learnt_paces", "arrays"),
-        *("npz", "typed_file", "confinement", "apart", "spreadsheet"),
-        *("sharing", "numerics", "processes", "execute", "cluster", "figure_style"),
-        *("threads", "spectra", "plan", "target", "target_grid", "target_file"),
+        *("types", "errors", "key", "arrays", "uncertain", "version", "numerics"),
+        *("figure_style", "findings", "storage", "jobs", "spectra", "plan", "target"),
     ],
     "model": ["optics", "panel", "imaging"],
     "material": [

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labkit import typed_file
 from labkit.analysis.kept_fits import SIGNATURE_BYTES, KeptFits
 from labkit.estimation.residuals import Verdict
+from labkit.storage import typed_file
 
 HALF = np.arange(8.0)[::2]
 

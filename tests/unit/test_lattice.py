@@ -15,8 +15,8 @@ from labkit.finder.lattice import find_tiles
 from labkit.finder.picture import Picture
 from labkit.photographs.decoding import read_photograph
 from labkit.plan import Plan
-from labkit.target import CellTarget
-from labkit.target_grid import TargetGrid, open_grid
+from labkit.target.grid import TargetGrid, open_grid
+from labkit.target.target import CellTarget
 from labkit.types import Floats
 from tests.grid_scenes import (
     Place,

@@ -10,8 +10,8 @@ import pytest
 
 from labkit.analysis.fit_size import USUAL_S
 from labkit.cli.sessions import _Timed
-from labkit.learnt_paces import MOST_LEARNT, MOST_STORE_BYTES, Paces
-from labkit.pace import EARLIER, RULE
+from labkit.jobs.learnt_paces import MOST_LEARNT, MOST_STORE_BYTES, Paces
+from labkit.jobs.pace import EARLIER, RULE
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from labkit.analysis.neighbours import halo_of_neighbours
-from labkit.target import CellTarget
+from labkit.target.target import CellTarget
 from labkit.types import Floats
 
 WHITE = CellTarget(np.ones((3, 3)), (1.0, 1.0))

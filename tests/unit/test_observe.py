@@ -18,7 +18,7 @@ from labkit.key import Key
 from labkit.photographs.decoding import read_photograph
 from labkit.photographs.photograph import Cut, Photograph
 from labkit.plan import Plan, Sensor
-from labkit.target import open_target
+from labkit.target.target import open_target
 from tests.sensor import BLACK, Bench, light_at
 
 

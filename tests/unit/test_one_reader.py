@@ -1,4 +1,4 @@
-"""Files are read by `labkit.reading` alone: calls that read in another way are named here, each with its reason."""
+"""Files are read by `labkit.storage.reading` alone: calls that read in another way are named here, each with its reason."""
 
 import ast
 from collections.abc import Iterator
@@ -21,7 +21,7 @@ READ_METHODS = {"open", "read_text", "read_bytes", "imread"}
 """Of a path."""
 
 NO_PATH = {"Session", "Image", "os", "io", "archive", "screen"}
-"""What these open is no path: a session, whose files are read by `labkit.reading`, or counts as a function above."""
+"""What these open is no path: a session, whose files are read by `labkit.storage.reading`, or counts as a function above."""
 
 OWN_CODE = "a file of the package itself"
 OPENED = "reads from an opened file or from memory, not from a path"
@@ -29,18 +29,21 @@ SYSTEM = "the system's own account of this machine"
 MADE = "makes a new file"
 
 ALLOWED = {
-    ("labkit/reading.py", "open"): "the one reader",
-    ("labkit/reading.py", "os.open"): "the one reader",
-    ("labkit/files.py", "os.open"): "standard streams, and a folder to sync",
-    ("labkit/files.py", "open"): MADE,
-    ("labkit/files.py", ".open"): MADE,
-    ("labkit/npz.py", "zipfile.ZipFile"): OPENED,
-    ("labkit/apart.py", "open"): "memory shared with the decoder",
-    ("labkit/apart.py", "os.fdopen"): "the pipe to the decoder",
-    ("labkit/apart.py", "pickle.loads"): "what this process asks of the decoder",
-    ("labkit/apart.py", ".read_text"): SYSTEM,
-    ("labkit/processes.py", "pickle.loads"): "what processes of one fit send each other",
-    ("labkit/execute.py", "pickle.load"): "what processes of one fit send each other",
+    ("labkit/storage/reading.py", "open"): "the one reader",
+    ("labkit/storage/reading.py", "os.open"): "the one reader",
+    ("labkit/storage/files.py", "os.open"): "standard streams, and a folder to sync",
+    ("labkit/storage/files.py", "open"): MADE,
+    ("labkit/storage/files.py", ".open"): MADE,
+    ("labkit/storage/npz.py", "zipfile.ZipFile"): OPENED,
+    ("labkit/storage/apart.py", "open"): "memory shared with the decoder",
+    ("labkit/storage/apart.py", "os.fdopen"): "the pipe to the decoder",
+    ("labkit/storage/apart.py", "pickle.loads"): "what this process asks of the decoder",
+    ("labkit/storage/apart.py", ".read_text"): SYSTEM,
+    (
+        "labkit/jobs/processes.py",
+        "pickle.loads",
+    ): "what processes of one fit send each other",
+    ("labkit/jobs/execute.py", "pickle.load"): "what processes of one fit send each other",
     ("labkit/cli/command_line.py", "open"): "the null device, for closed streams",
     ("labkit/cli/command_line.py", "os.open"): "the null device, for closed streams",
     ("labkit/restoration/tile_size.py", "open"): SYSTEM,

@@ -12,7 +12,7 @@ from labkit.errors import TargetError
 from labkit.finder.find_target import find_target
 from labkit.finder.other_targets import carpet_order
 from labkit.photographs.photograph import Photograph
-from labkit.target import CellTarget
+from labkit.target.target import CellTarget
 from labkit.targets.noise import noise_cells
 from labkit.targets.sierpinski import carpet_cells
 from labkit.types import Floats, Floats32

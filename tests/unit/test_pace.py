@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from labkit.pace import Pace, in_words
+from labkit.jobs.pace import Pace, in_words
 
 
 def test_no_time_is_named_before_a_step_is_done() -> None:

@@ -10,7 +10,7 @@ from labkit.errors import PlanError, TargetError
 from labkit.panel.panels import PANELS, panel_info
 from labkit.panel.picture import panel_picture
 from labkit.plan import DisplaySettings
-from labkit.target import CellTarget
+from labkit.target.target import CellTarget
 
 PANEL = PanelInfo((100, 120), 0.1)
 CHESS = np.indices((4, 6)).sum(axis=0) % 2.0

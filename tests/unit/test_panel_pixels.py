@@ -22,7 +22,7 @@ from labkit.panel.target_pixels import as_shown, pixels_per_cell
 from labkit.photographs.decoding import read_photograph
 from labkit.photographs.exposure import aperiodic_noise, exposure_problem, pixel_noise
 from labkit.plan import Plan, TargetPixels
-from labkit.target import CellTarget, open_target
+from labkit.target.target import CellTarget, open_target
 from labkit.types import Floats
 from tests.plans import PORTRAIT, Tables, plan_text
 from tests.sensor import PRNU, SHAPE, Bench, light_at

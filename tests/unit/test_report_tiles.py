@@ -14,7 +14,7 @@ import pytest
 from labkit.errors import InputError
 from labkit.field.session_geometry import corner_numbers, session_geometry
 from labkit.field.terms import lens_terms
-from labkit.findings import Finding
+from labkit.findings.findings import Finding
 from labkit.key import Key
 from labkit.report.contents import contents
 from labkit.report.field.geometry_charts import distortion_factor, lateral_over

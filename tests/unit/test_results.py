@@ -14,7 +14,7 @@ import pytest
 
 from labkit import results
 from labkit.errors import DataError
-from labkit.findings import Finding, found
+from labkit.findings.findings import Finding, found
 from labkit.key import Key
 from labkit.optics.rim import ROUND, Circle, Diaphragm, Rim
 from labkit.report.html import write_report

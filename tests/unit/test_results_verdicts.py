@@ -6,7 +6,7 @@ from math import isnan
 import numpy as np
 import pytest
 
-from labkit.findings import Finding
+from labkit.findings.findings import Finding
 from labkit.results import OptimumTest, Wavefront, verdicts
 from tests.results_samples import ACCEPTED, REJECTED, a_wavefront, some_results
 from tests.unit.test_findings import SAMPLES

@@ -16,8 +16,8 @@ from labkit.imaging.model import ForwardModel
 from labkit.imaging.panel_aperture import Aperture
 from labkit.imaging.parts import KNOWN, Diffusion, LowPass, Part, SpectrumWidth, Veil
 from labkit.imaging.parts.blur import SCALE_PX
-from labkit.mode_groups import MODE_GROUPS
 from labkit.optics.spectrum import Spectrum
+from labkit.plan.mode_groups import MODE_GROUPS
 from tests.unit.test_cone import CARPET, FRAME, OPTICS, POSE, TRUTH, photographed
 
 EVERY = [name for name, part in KNOWN.items() if part.sought]

@@ -17,7 +17,7 @@ from labkit.devices.protocols import PanelInfo, Picture, Shown
 from labkit.devices.serve_target import keep_showing
 from labkit.errors import DisplayError, LabkitError
 from labkit.plan import TargetSpec
-from labkit.target import open_target
+from labkit.target.target import open_target
 
 
 class Slow:

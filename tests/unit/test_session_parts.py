@@ -18,7 +18,7 @@ from labkit.analysis.session_parts import model_parts, widest_light_nm
 from labkit.estimation.candidate import Measured, Observed
 from labkit.estimation.estimate import Estimate, LocalFit
 from labkit.estimation.select import select
-from labkit.findings import Finding, Moves, found
+from labkit.findings.findings import Finding, Moves, found
 from labkit.imaging.parts import Obstruction, SpectrumWidth
 from labkit.key import Key
 from labkit.plan import Plan

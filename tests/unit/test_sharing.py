@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from labkit.execute import Workers
-from labkit.sharing import Shared, pack, packed, share
+from labkit.jobs.execute import Workers
+from labkit.jobs.sharing import Shared, pack, packed, share
 from labkit.types import Floats
 
 LARGE = np.arange(300_000.0)

@@ -14,7 +14,7 @@ from labkit.acquisition.camera_check import LoneCamera, Sighting, sighted
 from labkit.finder.sharpness import sharpest_edge_px
 from labkit.photographs.photograph import Photograph
 from labkit.plan import Plan
-from labkit.target import CellTarget, open_target
+from labkit.target.target import CellTarget, open_target
 from tests.plans import PORTRAIT, plan_text
 from tests.rooms import Pose, as_counts, draw_target
 

@@ -9,7 +9,7 @@ from math import inf, nan
 import numpy as np
 import pytest
 
-from labkit.spreadsheet import csv_text
+from labkit.storage.spreadsheet import csv_text
 
 
 def cells(*row: str | float | None) -> list[str]:

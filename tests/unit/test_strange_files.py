@@ -16,12 +16,10 @@ from labkit.cli import run
 from labkit.cli.app import channels
 from labkit.drivers.simulated.zernike_table import read_table
 from labkit.errors import InputError, LabkitError
-from labkit.files import kept_secret
 from labkit.photographs.decoding import read_photograph
 from labkit.photographs.exif import read_exif
 from labkit.photographs.picture_file import read_picture
 from labkit.plan import Plan
-from labkit.reading import read_text
 from labkit.results import Results
 from labkit.results.storage import kept_keys, set_aside_corrupt
 from labkit.session.fit_lock import fitted_alone
@@ -29,6 +27,8 @@ from labkit.session.import_frames import read_rows
 from labkit.session.journal import JOURNAL, is_being_written
 from labkit.session.session import Session
 from labkit.session.verify import verify
+from labkit.storage.files import kept_secret
+from labkit.storage.reading import read_text
 from tests.plans import PORTRAIT, plan_text
 from tests.results_samples import full_results
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy import signal
 
 from labkit.errors import TargetError
-from labkit.target import CellTarget
+from labkit.target.target import CellTarget
 from labkit.targets.sierpinski import carpet_cells
 from labkit.types import Floats
 

@@ -12,8 +12,8 @@ from PIL import Image
 
 from labkit.errors import InputError, TargetError
 from labkit.plan import TargetSpec
-from labkit.target import CellTarget, open_target, read_spec
-from labkit.target_file import render_target
+from labkit.target.rendering import render_target
+from labkit.target.target import CellTarget, open_target, read_spec
 from labkit.targets.image import read_radiance
 from labkit.targets.sierpinski import carpet_cells
 from tests.plans import PORTRAIT, plan_text

@@ -15,9 +15,9 @@ from labkit.imaging.warp import Pose
 from labkit.panel import PanelInfo
 from labkit.panel.picture import panel_picture
 from labkit.plan import Plan, TargetSpec
-from labkit.target import CellTarget, open_target
-from labkit.target_file import render_target
-from labkit.target_grid import TargetGrid, open_grid, whole_target
+from labkit.target.grid import TargetGrid, open_grid, whole_target
+from labkit.target.rendering import render_target
+from labkit.target.target import CellTarget, open_target
 from tests.grid_scenes import kron_carpet, kron_sheet
 from tests.plans import SMALL, plan_text
 

@@ -10,8 +10,8 @@ from PIL import Image
 
 from labkit.errors import PlanError, TargetError
 from labkit.plan import Plan, TargetSpec
-from labkit.target import CellTarget, open_target, read_spec
-from labkit.target_file import render_target
+from labkit.target.rendering import render_target
+from labkit.target.target import CellTarget, open_target, read_spec
 from labkit.targets.noise import noise_cells
 from labkit.targets.slanted_edge import SlantedEdge
 from labkit.targets.tribar import tribar_cells, triple

@@ -20,11 +20,11 @@ from labkit.devices.protocols import ExposureSettings
 from labkit.drivers.simulated.bench import Bench
 from labkit.drivers.simulated.camera import SimulatedCamera
 from labkit.errors import LostTasksError, TargetError
-from labkit.execute import Result, Task
+from labkit.jobs.execute import Result, Task
+from labkit.jobs.sharing import pack, unpacked
 from labkit.session.import_frames import import_frames
 from labkit.session.session import Session
-from labkit.sharing import pack, unpacked
-from labkit.target import open_target
+from labkit.target.target import open_target
 from labkit.types import Floats
 
 SQUARE = np.array([[-40.0, -40], [-40, 40], [40, 40], [40, -40]])

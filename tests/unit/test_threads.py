@@ -6,7 +6,7 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import labkit
-from labkit.threads import one_thread
+from labkit.jobs.threads import one_thread
 
 
 def of_linear_algebra() -> set[int]:

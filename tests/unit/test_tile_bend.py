@@ -14,7 +14,7 @@ from labkit.field.tile_fit import linear_homography
 from labkit.imaging import spline
 from labkit.imaging.warp import CORNER_X, CORNER_Y, Pose
 from labkit.plan import FieldSettings
-from labkit.target import CellTarget
+from labkit.target.target import CellTarget
 from labkit.targets.sierpinski import carpet_cells
 from labkit.types import Floats
 

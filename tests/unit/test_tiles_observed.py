@@ -18,7 +18,7 @@ from labkit.analysis.tile_registration import register_part
 from labkit.errors import PlanError
 from labkit.imaging.warp import Pose
 from labkit.plan import FieldSettings
-from labkit.target import CellTarget
+from labkit.target.target import CellTarget
 from labkit.targets.sierpinski import carpet_cells
 from labkit.types import Floats
 

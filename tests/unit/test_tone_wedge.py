@@ -20,7 +20,7 @@ from labkit.errors import DataError, PlanError, TargetError
 from labkit.panel.picture import panel_picture
 from labkit.photographs.decoding import read_photograph
 from labkit.plan import Sensor
-from labkit.target import CellTarget, open_target
+from labkit.target.target import CellTarget, open_target
 from labkit.types import Floats
 
 Curve = Callable[[Floats], Floats]

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labkit import npz, typed_file
 from labkit.estimation.local import Found
-from labkit.findings import Finding, found
+from labkit.findings.findings import Finding, found
 from labkit.imaging.optics import Optics
 from labkit.imaging.parts import KNOWN, Diffusion, Veil
 from labkit.key import Key
+from labkit.storage import npz, typed_file
 from labkit.types import Floats
 
 

@@ -12,7 +12,7 @@ from labkit.finder.find_target import find_target
 from labkit.finder.picture import Picture
 from labkit.finder.preview import ORANGE, jpeg
 from labkit.photographs.photograph import Photograph
-from labkit.target import CellTarget
+from labkit.target.target import CellTarget
 from labkit.targets.sierpinski import carpet_cells
 from labkit.types import Floats
 from tests.rooms import Pose, as_counts, draw_target, random_poses, random_room

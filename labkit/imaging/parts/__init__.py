@@ -7,7 +7,7 @@ from labkit.imaging.parts.field_rim import UnevenField, Vignetted
 from labkit.imaging.parts.part import Part, rim_of
 from labkit.imaging.parts.rim import Blades, CatsEye, Obstruction, UnevenRim
 from labkit.imaging.parts.spectrum import SpectrumWidth
-from labkit.mode_groups import MODE_GROUPS, ModeGroup
+from labkit.plan.mode_groups import MODE_GROUPS, ModeGroup
 
 __all__ = [
     "ESTIMATED",

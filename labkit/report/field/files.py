@@ -12,7 +12,7 @@ from labkit.optics.field import FieldModel
 from labkit.report.field.profiles import lines_of
 from labkit.report.tiles import mean_place_px
 from labkit.results import Results
-from labkit.spreadsheet import Cell
+from labkit.storage.spreadsheet import Cell
 
 Rows = Iterable[Sequence[Cell]]
 

@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 
 from labkit.field.geometry import FieldGeometry
 from labkit.figure_style import HALF_IN, INK
-from labkit.findings import Finding
+from labkit.findings.findings import Finding
 from labkit.key import Tile, same_range
 from labkit.optics.field import FieldFrame
 from labkit.report.field.maps import SEQUENTIAL, colour_bar, even_levels, frame_axes

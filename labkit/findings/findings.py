@@ -12,7 +12,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
 
-from labkit.finding_texts import TEXTS
+from labkit.findings.texts import TEXTS
 from labkit.key import Key
 from labkit.types import JSON
 from labkit.uncertain import Uncertain

@@ -15,8 +15,8 @@ from statistics import median
 from typing import Any
 
 from labkit.errors import InputError
-from labkit.files import state_folder, write_atomically
-from labkit.reading import read_bytes
+from labkit.storage.files import state_folder, write_atomically
+from labkit.storage.reading import read_bytes
 
 MOST_STORE_BYTES = 2**16
 MOST_LEARNT = 12

@@ -1,7 +1,7 @@
 """Take from this process for good what decoding a file does not need: to write files, to run programs, the network.
 
 Linux lets every process do this, by Landlock and by a network of its own. No library for it is well kept, and it takes
-four system calls. Elsewhere, and on a kernel without them, the limits of `labkit.apart` are all there is.
+four system calls. Elsewhere, and on a kernel without them, the limits of `labkit.storage.apart` are all there is.
 
 Landlock: docs.kernel.org/userspace-api/landlock.html, versions 1 to 6 of its interface.
 """

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from labkit.arrays import real_array
 from labkit.errors import TargetError
 from labkit.plan import TargetSpec
-from labkit.target import CellTarget, Target, low_pass, open_target, read_spec
+from labkit.target.target import CellTarget, Target, low_pass, open_target, read_spec
 from labkit.types import Floats
 
 MARK_MODULES = 6

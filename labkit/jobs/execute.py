@@ -26,9 +26,9 @@ import cv2
 from threadpoolctl import threadpool_limits
 
 from labkit.errors import FitError, LostTasksError, WorkersError, out_of_memory
+from labkit.jobs.processes import KILLED, Processes, saying
+from labkit.jobs.sharing import kept, pack, unpacked
 from labkit.numerics import refuse_other_versions, versions
-from labkit.processes import KILLED, Processes, saying
-from labkit.sharing import kept, pack, unpacked
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from labkit.errors import InputError, SessionError
-from labkit.reading import MOST_NOTE_BYTES, opened_photograph, read_private
+from labkit.storage.reading import MOST_NOTE_BYTES, opened_photograph, read_private
 
 PART_NAME = re.compile(r"\..+\.([1-9]\d{0,9})\.part")
 """Names of files that are being written, with the number of the process that writes."""

@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from labkit import npz
-from labkit.npz import Arrays
+from labkit.storage import npz
+from labkit.storage.npz import Arrays
 from labkit.types import JSON
 
 TREE = "tree"

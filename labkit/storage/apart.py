@@ -4,7 +4,7 @@ Libraries that decode photographs follow whatever a damaged file states: for min
 through gigabytes, or into foreign memory. The process starts with the first file, serves
 all later ones, and ends when there has been none for a while. A file that breaks a limit
 ends the process, and a new process serves the next file. Results travel as values of the type that the function states (see
-`labkit.typed_file`), so even a process under an attacker's control cannot run code in this
+`labkit.storage.typed_file`), so even a process under an attacker's control cannot run code in this
 one.
 """
 
@@ -33,10 +33,10 @@ from typing import Any, NoReturn, ParamSpec, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from labkit import typed_file
-from labkit.confinement import confine
 from labkit.errors import InputError, RawError, shown
-from labkit.npz import Arrays
+from labkit.storage import typed_file
+from labkit.storage.confinement import confine
+from labkit.storage.npz import Arrays
 from labkit.types import JSON
 
 Arguments = ParamSpec("Arguments")
@@ -77,9 +77,7 @@ SHARED_ERRORS: dict[str, type[InputError]] = {
 }
 DAMAGED = "is truncated or damaged"
 
-WORKER_CODE = (
-    "import sys; sys.path[:] = {path!r}; from labkit.apart import serve; serve({memory})"
-)
+WORKER_CODE = "import sys; sys.path[:] = {path!r}; from labkit.storage.apart import serve; serve({memory})"
 
 
 def run_apart(

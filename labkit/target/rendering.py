@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from labkit.errors import TargetError
-from labkit.files import write_atomically
 from labkit.plan.tables import PRINTED_SIZE
-from labkit.target import CellTarget, Target, on_dots
-from labkit.target_grid import TargetGrid, whole_target
+from labkit.storage.files import write_atomically
+from labkit.target.grid import TargetGrid, whole_target
+from labkit.target.target import CellTarget, Target, on_dots
 from labkit.types import Floats
 
 MM_PER_INCH = 25.4

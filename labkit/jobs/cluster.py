@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from labkit.errors import InputError, WorkersError, shown
-from labkit.execute import Executed
+from labkit.jobs.execute import Executed
 from labkit.numerics import SAME_VERSIONS, other_versions, versions
 
 if TYPE_CHECKING:

@@ -1,0 +1,1 @@
+"""Findings: what a session shows besides its numbers, and what to do."""

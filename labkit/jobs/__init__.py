@@ -1,0 +1,1 @@
+"""Work in other threads, processes and machines, and how long it takes."""

@@ -1,0 +1,1 @@
+"""Targets: figures of known radiance, grids of them, their files."""
