@@ -408,13 +408,20 @@ def _each_once(outlines: Sequence[Floats]) -> list[Floats]:
     sizes = np.array([_mean_side(of[None]) for of in outlines])
     tree = cKDTree(centres)
     left = np.ones(len(outlines), bool)
+
+    def about(k: int) -> list[int]:
+        """Return the outlines that are left of the square that an outline is about."""
+        near = tree.query_ball_point(centres[k], sizes[k] / 4)
+        return [j for j in near if left[j] and sizes[k] / 2 < sizes[j] < 2 * sizes[k]]
+
     chosen = []
     for k in range(len(outlines)):
         if left[k]:
-            near = [j for j in tree.query_ball_point(centres[k], sizes[k] / 4) if left[j]]
-            near = [j for j in near if sizes[k] / 2 < sizes[j] < 2 * sizes[k]]
-            left[near] = False
-            chosen.append(outlines[near[int(np.argsort(sizes[near])[len(near) // 2])]])
+            near = about(k)
+            middle = near[int(np.argsort(sizes[near])[len(near) // 2])]
+            chosen.append(outlines[middle])
+            # outlines near the chosen one are about its square, too
+            left[near + about(middle)] = False
     return chosen
 
 

@@ -136,7 +136,7 @@ def channels(ctx: typer.Context, incomplete: str) -> list[str]:
         iter(ctx.args), ""
     )  # a line that is not complete has it left over
     try:
-        plan = read_tables(read_text(Path(session) / "plan.toml"))
+        plan = read_tables(read_text(Path(session) / "plan.toml", follow_link=False))
         names = [str(channel["name"]) for channel in plan["channel"]]
     except (KeyError, TypeError, ValueError, PlanError):
         names = ["R", "G", "B"]

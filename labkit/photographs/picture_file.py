@@ -140,6 +140,7 @@ TRANSPARENT = "has transparency: save it without, as grey or RGB"
 
 WHITE_IS_ZERO = 0
 UNCOMPRESSED = 1
+DEFLATED = (8, 32946)
 PLANES_APART = 2
 BLENDED, UNBLENDED = 1, 2
 """Kinds of a TIFF's extra samples that are transparency, as premultiplied and as plain alpha."""
@@ -370,12 +371,18 @@ def _read_tiff(file: BinaryIO, most_pixels: int, processed: bool) -> Picture:
             page = tiff.pages.first
             _check_tiff(tiff, page, most_pixels, processed)
             bits = int(page.bitspersample)
-            if page.compression != UNCOMPRESSED:
+            # OpenCV, which decodes 16 bit, takes planes apart for colours of one pixel
+            apart = _interleaved(page) != page.shape and bits == 16
+            if apart and page.compression not in (UNCOMPRESSED, *DEFLATED):
+                raise InputError(
+                    "holds compressed colours of 16 bit in planes apart: save it without compression"
+                )
+            if page.compression != UNCOMPRESSED and not apart:
                 file.seek(0)
                 numbers = _decoded("TIFF", file.read(), _interleaved(page), bits)
                 return Picture(numbers, bits, 2**bits - 1)
             check_strips(tiff)
-            if sum(page.databytecounts) < page.nbytes:
+            if page.compression == UNCOMPRESSED and sum(page.databytecounts) < page.nbytes:
                 raise InputError(
                     f"{DAMAGED}: {sum(page.databytecounts)} of {page.nbytes} bytes are there"
                 )

@@ -48,10 +48,13 @@ FOLLOWS = "default_factory_not_called"
 """Type of the error for a missing key whose default depends on a wrong key."""
 
 
-def read_text(path: Path) -> str:
-    """Return a plan's text without a byte order mark. Raises PlanError for a missing file or one not in UTF-8."""
+def read_text(path: Path, *, follow_link: bool = True) -> str:
+    """Return a plan's text without a byte order mark. Raises PlanError for a missing file or one not in UTF-8.
+
+    follow_link : whether the file may be a link, as one that the user names may
+    """
     try:
-        return reading.read_text(path, MOST_PLAN_BYTES, follow_link=True)
+        return reading.read_text(path, MOST_PLAN_BYTES, follow_link=follow_link)
     except IsADirectoryError as error:
         plan = path / "plan.toml"
         raise PlanError(

@@ -23,7 +23,7 @@ FORWARD_MODEL = {"labkit.imaging.model", "labkit.imaging.blur", "labkit.imaging.
 """Of imaging a report needs what camera parts are called, and no pictures."""
 
 MOST_OF_A_REPORT = 96
-"""Number of labkit's modules that a report of results loads without a photograph at hand: 96, four of them rooms of the base."""
+"""Number of labkit's modules that a report of results loads without a photograph at hand: 96, four of them rooms."""
 
 SEARCH = {
     "labkit.estimation.local",
