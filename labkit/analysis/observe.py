@@ -7,7 +7,7 @@ from itertools import chain
 import numpy as np
 
 from labkit.analysis.locate import Corners, locate, locate_all
-from labkit.analysis.neighbours import only_own, with_neighbours
+from labkit.analysis.neighbours import only_own, with_marks, with_neighbours
 from labkit.analysis.surround import is_surround_clean, surround_findings
 from labkit.analysis.target_places import Places, of_one_place, places_in_frame
 from labkit.analysis.target_tiles import (
@@ -54,7 +54,7 @@ from labkit.photographs.photograph import Cut, Photograph
 from labkit.plan import Plan
 from labkit.session.frame import Frame, distinct
 from labkit.session.session import Session
-from labkit.target.grid import open_grid
+from labkit.target.grid import TargetGrid, open_grid, open_marked
 from labkit.target.target import Target
 from labkit.types import Bools, Floats, Progress, no_progress
 
@@ -144,6 +144,7 @@ def observe(
     needed = {group[0].range_mm: _needed(group, known) for group in groups}
     calibration = calibrate(photographs, plan, needed, progress)
     clear_mm = None if (grid := open_grid(plan.target)) is None else grid.clear_mm
+    marked = open_marked(plan.target)
     observations: list[Observation] = []
     sights = list[Sight]()
     together = [one for group in groups for one in of_one_place(group, places)]
@@ -161,7 +162,7 @@ def observe(
         for name in channels:
             for region in regions:
                 made, assumed = _of_region(
-                    calibration, target, shots, name, region, clear_mm
+                    calibration, target, shots, name, region, clear_mm, marked
                 )
                 observations += [
                     replace(of, order=min(map(frames.index, group))) for of in made
@@ -376,10 +377,13 @@ def _of_region(
     channel: str,
     region: _Region,
     clear_mm: float | None,
+    marked: TargetGrid | None,
 ) -> tuple[list[Observation], Iterable[Finding]]:
     """Return the observation of a channel in a region; none of a tile that cannot be used, and a finding that says why."""
     try:
-        of, assumed = _observation(calibration, target, shots, channel, region, clear_mm)
+        of, assumed = _observation(
+            calibration, target, shots, channel, region, clear_mm, marked
+        )
     except DataError as error:
         if region.tile is None:
             raise
@@ -395,10 +399,12 @@ def _observation(
     channel: str,
     region: _Region,
     clear_mm: float | None,
+    marked: TargetGrid | None,
 ) -> tuple[Observation, tuple[Finding, ...]]:
     """Return the observation of one range, channel and tile, and findings about assumptions.
 
-    clear_mm: width of the surround around a target of a grid that its neighbours leave alone.
+    clear_mm: width of the surround around a target of a grid that its neighbours leave alone. marked: a single
+    target with marks.
     """
     first = shots[0].mosaic
     group = [shot.frame for shot in shots]
@@ -440,6 +446,8 @@ def _observation(
     if clear_mm is not None:
         found_px = [shot.corners_px for shot in shots]
         frames = with_neighbours(frames, target, found_px, region.tile, cut)
+    if marked is not None:
+        frames = with_marks(frames, marked, region.corners_px, cut)
     if region.part is not None:
         poses = tuple(replace(region.part.of(pose), bend=region.bend) for pose in poses)
     observation = Observation(

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from labkit.finder.picture import Picture, normalised
-from labkit.finder.registration import OWN_CORNERS, mapped, mean_side
+from labkit.finder.registration import OWN_CORNERS, homography, mapped, mean_side
 from labkit.target.grid import DICTIONARY, TargetGrid
 from labkit.types import Floats
 
@@ -23,11 +23,22 @@ WRONG_BITS = 2
 """Bits of 16 that may be misread: the four marks differ in 5, and registration verifies each place."""
 
 SAMPLES_OF_A_MODULE, BLURRED_SHARE = 8, 0.3
-"""Samples across a module from which a mark is read, and the share on each side that counts for nothing. Of 60 marked carpets in
-drawn rooms 55 are found, with a blur of up to 0.5 modules; with OpenCV's usual 4 and 0.13, 49."""
+"""Samples across a module from which a mark is read, and the share on each side that counts for nothing. Of 60 marked carpets
+in drawn rooms 55 are found, with a blur of up to 0.5 modules; with OpenCV's usual 4 and 0.13, 49."""
 
 SAME_PLACE = 0.1
 """Largest distance of the places that the marks of one target predict, in sides of the target."""
+
+
+def marks_px(marked: TargetGrid, corners: Floats) -> Floats:
+    """Return the corners (marks, 4, 2) in pixels of the marks of a target at corners (4, 2)."""
+    by = homography(OWN_CORNERS * marked.tile.size_mm, corners)
+    return np.stack([mapped(by, at_mm) for at_mm in _marks_mm(marked)])
+
+
+def _marks_mm(marked: TargetGrid) -> Floats:
+    """Return the corners (marks, 4, 2) of the marks on the plane of the target, from its middle."""
+    return marked.mark_centres_mm()[:, None] + OWN_CORNERS * marked.mark_mm
 
 
 def places_by_marks(picture: Picture, marked: TargetGrid) -> Iterator[list[Floats]]:
@@ -47,7 +58,7 @@ def places_by_marks(picture: Picture, marked: TargetGrid) -> Iterator[list[Float
 def _places(picture: Picture, marked: TargetGrid, scale: float) -> list[Floats]:
     """Return likely corners of the target in pixels of the photograph, those that most marks agree on first."""
     own_mm = OWN_CORNERS * marked.tile.size_mm
-    marks_mm = marked.mark_centres_mm()[:, None] + OWN_CORNERS * marked.mark_mm
+    marks_mm = _marks_mm(marked)
     groups: list[tuple[Floats, list[Floats], list[Floats]]] = []
     for number, seen in _marks(picture, marked, scale):
         at_mm = marks_mm[number]

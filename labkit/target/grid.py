@@ -253,6 +253,15 @@ def open_grid(spec: TargetSpec) -> TargetGrid | None:
     return TargetGrid(open_target(spec), spec.grid, spec.pitch_mm, spec.marks)
 
 
+def open_marked(spec: TargetSpec) -> TargetGrid | None:
+    """Return the single target of a plan's [target] table with its marks; None for many, or without marks."""
+    if spec.of_many or not spec.marks:
+        return None
+    target = open_target(spec)
+    gap = RIM_SHARE / ((1 - MARK_SHARE) / 2)
+    return TargetGrid(target, (1, 1), (1 + gap) * max(target.size_mm), marks=True)
+
+
 def whole_target(spec: TargetSpec | str) -> Target:
     """Open all that a display or a print shows: the grid of targets, or the single target, with its marks.
 
@@ -268,13 +277,7 @@ def whole_target(spec: TargetSpec | str) -> Target:
         for an unknown kind
     """
     spec = read_spec(spec) if isinstance(spec, str) else spec
-    if (grid := open_grid(spec)) is not None:
-        return grid
-    target = open_target(spec)
-    if not spec.marks:
-        return target
-    gap = RIM_SHARE / ((1 - MARK_SHARE) / 2)
-    return TargetGrid(target, (1, 1), (1 + gap) * max(target.size_mm), marks=True)
+    return open_grid(spec) or open_marked(spec) or open_target(spec)
 
 
 def _centre(place: Place, counts: Place, pitch_mm: float) -> tuple[float, float]:
