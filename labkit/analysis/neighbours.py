@@ -90,7 +90,7 @@ def halo_of(others: Iterable[tuple[Target, Floats]], cut: Cut) -> Floats:
 
     Returns
     -------
-    (rows, columns), 1 for the radiance of white
+    (rows, columns) above the surround's light, 1 for the radiance of white
     """
     rows, columns = (np.linspace(side.start, side.stop - 1, PLACES) for side in cut)
     here = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1)[:, :, None]
@@ -99,6 +99,7 @@ def halo_of(others: Iterable[tuple[Target, Floats]], cut: Cut) -> Floats:
     for target, corners in others:
         dots = on_dots(target, (DOTS * AVERAGED, DOTS * AVERAGED))
         radiance = dots.reshape(DOTS, AVERAGED, DOTS, AVERAGED).mean(axis=(1, 3)).ravel()
+        radiance -= target.surround or 0.0
         pose = Pose.from_corners(corners, (1.0, 1.0))
         there = pose.to_pixels(np.repeat(side, DOTS), np.tile(side, DOTS))
         away = np.linalg.norm(here - there, axis=-1)

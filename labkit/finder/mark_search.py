@@ -12,7 +12,7 @@ from labkit.finder.registration import OWN_CORNERS, homography, mapped, mean_sid
 from labkit.target.grid import DICTIONARY, TargetGrid
 from labkit.types import Floats
 
-COARSEST_PX, MOST_SAMPLES = 750, 30e6
+COARSEST_PX, MOST_OF_A_COPY = 750, 30e6
 """Longest side of the smallest copy, and size of the largest one, in which a search takes half a second. None is finer than the
 photograph."""
 
@@ -26,7 +26,7 @@ SAMPLES_OF_A_MODULE, BLURRED_SHARE = 8, 0.3
 """Samples across a module from which a mark is read, and the share on each side that counts for nothing. Of 60 marked carpets
 in drawn rooms 55 are found, with a blur of up to 0.5 modules; with OpenCV's usual 4 and 0.13, 49."""
 
-SAME_PLACE = 0.1
+SAME_MIDDLE = 0.1
 """Largest distance of the places that the marks of one target predict, in sides of the target."""
 
 
@@ -49,7 +49,9 @@ def places_by_marks(picture: Picture, marked: TargetGrid) -> Iterator[list[Float
     picture : the photograph
     marked : the target, alone, with marks
     """
-    finest = min(1.0, 2.0 ** np.floor(0.5 * np.log2(MOST_SAMPLES / np.prod(picture.shape))))
+    finest = min(
+        1.0, 2.0 ** np.floor(0.5 * np.log2(MOST_OF_A_COPY / np.prod(picture.shape)))
+    )
     halvings = max(0, round(np.log2(finest * max(picture.shape) / COARSEST_PX)))
     for halving in range(halvings, -1, -1):
         yield _places(picture, marked, finest / 2.0**halving)
@@ -65,7 +67,7 @@ def _places(picture: Picture, marked: TargetGrid, scale: float) -> list[Floats]:
         place = mapped(_through(at_mm, seen), own_mm)
         for middle, all_mm, all_seen in groups:
             away = np.linalg.norm(place.mean(axis=0) - middle)
-            if away < SAME_PLACE * mean_side(place):
+            if away < SAME_MIDDLE * mean_side(place):
                 all_mm.append(at_mm)
                 all_seen.append(seen)
                 break

@@ -81,11 +81,11 @@ def _laid_out(
         max(0, (n - k) // pitch + 1) for n, k in zip(panel.pixels, tile.shape, strict=True)
     ]
     advice = f"it holds grid = {held} of them; or take smaller ones"
-    if grid.is_single:
+    if grid.is_marked_one:
         advice = "take a smaller target, or leave out marks"
     height, width = drawn.size_mm
     _refuse_larger((round(height), round(width)), panel, advice)
-    pitch_mm = None if grid.is_single else pitch * panel.pitch_mm
+    pitch_mm = None if grid.is_marked_one else pitch * panel.pitch_mm
     return drawn.radiance_of_dots(), pitch_mm
 
 

@@ -97,14 +97,14 @@ class TargetGrid:
             )
 
     @property
-    def is_single(self) -> bool:
-        """Return whether there is one target only."""
-        return self.grid == (1, 1)
+    def is_marked_one(self) -> bool:
+        """Return whether it is a single target with marks around it."""
+        return self.marks and self.grid == (1, 1)
 
     @property
     def size_mm(self) -> tuple[float, float]:
         """(height, width) of all targets, from the first one's edge to the last one's; with the marks of a single one."""
-        if self.is_single and self.marks:
+        if self.is_marked_one:
             return (self.pitch_mm + self.mark_mm,) * 2
         (rows, cols), (height, width) = self.grid, self.tile.size_mm
         return (rows - 1) * self.pitch_mm + height, (cols - 1) * self.pitch_mm + width
@@ -117,7 +117,7 @@ class TargetGrid:
     @property
     def mark_grid(self) -> tuple[int, int]:
         """(rows, columns) of marks, if the grid has any."""
-        if self.is_single:
+        if self.is_marked_one:
             return 2, 2
         return max(1, self.grid[0] - 1), max(1, self.grid[1] - 1)
 
@@ -150,7 +150,7 @@ class TargetGrid:
     @property
     def mark_numbers(self) -> range:
         """Numbers of the marks in the dictionary."""
-        first = FIRST_OF_A_SINGLE if self.is_single else 0
+        first = FIRST_OF_A_SINGLE if self.is_marked_one else 0
         return range(first, first + int(np.prod(self.mark_grid)))
 
     def sample(self, y_mm: ArrayLike, x_mm: ArrayLike, bandwidth_per_mm: float) -> Floats:
@@ -218,7 +218,7 @@ class TargetGrid:
         (height, width), least = tile.shape, LEAST_MODULE_DOTS * MARK_MODULES / MARK_SHARE
         dots = CellTarget(tile, (float(height), float(width)), self.surround)
         gap = max(round(self.pitch_mm / dot_mm) - max(tile.shape), 1)
-        if self.is_single:
+        if self.is_marked_one:
             # every module in whole dots
             whole = round(MARK_MODULES / MARK_SHARE)
             gap = max(round(gap / whole) * whole, round(least))

@@ -134,7 +134,7 @@ def _raster(
 def _notes(target: Target, grey: NDArray[np.uint8], pitch_mm: float | None) -> list[str]:
     """Return remarks for a user; pitch_mm: of a grid as drawn."""
     notes: list[str] = []
-    if isinstance(target, TargetGrid) and pitch_mm is not None and not target.is_single:
+    if isinstance(target, TargetGrid) and pitch_mm is not None and not target.is_marked_one:
         notes += _pitch_notes(target.pitch_mm, pitch_mm)
     if isinstance(target, CellTarget):
         dots = grey.shape[0] / target.cells.shape[0]
