@@ -25,7 +25,7 @@ from labkit.plan import Plan
 from labkit.session.frame import Frame
 from labkit.session.session import PREFLIGHT_FOLDER
 from labkit.storage.files import write_atomically
-from labkit.target.grid import open_grid
+from labkit.target.grid import open_grid, whole_target
 from labkit.target.target import Target
 from labkit.types import Floats, Progress
 
@@ -127,7 +127,7 @@ def locate(
     try:
         if (grid := open_grid(plan.target)) is not None:
             return dict(find_tiles(picture, grid, mm_per_pixel=scale).items())
-        corners = find_target(picture, target, mm_per_pixel=scale)
+        corners = find_target(picture, whole_target(plan.target), mm_per_pixel=scale)
         _refuse_other_surround(picture, corners, plan)
     except TargetError as error:
         seen = _write_picture(photograph, path, error)

@@ -7,7 +7,7 @@ from itertools import chain
 import numpy as np
 
 from labkit.analysis.locate import Corners, locate, locate_all
-from labkit.analysis.neighbours import only_own, with_neighbours
+from labkit.analysis.neighbours import only_own, with_marks, with_neighbours
 from labkit.analysis.surround import is_surround_clean, surround_findings
 from labkit.analysis.target_places import Places, of_one_place, places_in_frame
 from labkit.analysis.target_tiles import (
@@ -54,7 +54,7 @@ from labkit.photographs.photograph import Cut, Photograph
 from labkit.plan import Plan
 from labkit.session.frame import Frame, distinct
 from labkit.session.session import Session
-from labkit.target.grid import open_grid
+from labkit.target.grid import TargetGrid, open_grid, open_marked
 from labkit.target.target import Target
 from labkit.types import Bools, Floats, Progress, no_progress
 
@@ -143,7 +143,7 @@ def observe(
     known |= places
     needed = {group[0].range_mm: _needed(group, known) for group in groups}
     calibration = calibrate(photographs, plan, needed, progress)
-    clear_mm = None if (grid := open_grid(plan.target)) is None else grid.clear_mm
+    whole = open_grid(plan.target) or open_marked(plan.target)
     observations: list[Observation] = []
     sights = list[Sight]()
     together = [one for group in groups for one in of_one_place(group, places)]
@@ -160,9 +160,7 @@ def observe(
         findings += left_out
         for name in channels:
             for region in regions:
-                made, assumed = _of_region(
-                    calibration, target, shots, name, region, clear_mm
-                )
+                made, assumed = _of_region(calibration, target, shots, name, region, whole)
                 observations += [
                     replace(of, order=min(map(frames.index, group))) for of in made
                 ]
@@ -375,11 +373,11 @@ def _of_region(
     shots: Sequence[_Shot],
     channel: str,
     region: _Region,
-    clear_mm: float | None,
+    whole: TargetGrid | None,
 ) -> tuple[list[Observation], Iterable[Finding]]:
     """Return the observation of a channel in a region; none of a tile that cannot be used, and a finding that says why."""
     try:
-        of, assumed = _observation(calibration, target, shots, channel, region, clear_mm)
+        of, assumed = _observation(calibration, target, shots, channel, region, whole)
     except DataError as error:
         if region.tile is None:
             raise
@@ -394,11 +392,11 @@ def _observation(
     shots: Sequence[_Shot],
     channel: str,
     region: _Region,
-    clear_mm: float | None,
+    whole: TargetGrid | None,
 ) -> tuple[Observation, tuple[Finding, ...]]:
     """Return the observation of one range, channel and tile, and findings about assumptions.
 
-    clear_mm: width of the surround around a target of a grid that its neighbours leave alone.
+    whole: the grid of targets, or the single target with its marks; None without either.
     """
     first = shots[0].mosaic
     group = [shot.frame for shot in shots]
@@ -412,9 +410,9 @@ def _observation(
     data = [
         channel_data(calibration, shot.frame, shot.mosaic, channel, cut) for shot in shots
     ]
-    if clear_mm is not None:
+    if whole is not None and not whole.is_marked_one:  # marks are beyond the cut
         data = [
-            only_own(part, pose, clear_mm, target.size_mm)
+            only_own(part, pose, whole.clear_mm, target.size_mm)
             for part, pose in zip(data, poses, strict=True)
         ]
     pixels = first.pixels(channel)
@@ -437,7 +435,9 @@ def _observation(
         )
         for part, pose, frame in zip(data, poses, group, strict=True)
     )
-    if clear_mm is not None:
+    if whole is not None and whole.is_marked_one:
+        frames = with_marks(frames, whole, region.corners_px, cut)
+    elif whole is not None:
         found_px = [shot.corners_px for shot in shots]
         frames = with_neighbours(frames, target, found_px, region.tile, cut)
     if region.part is not None:

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from labkit.errors import TargetError
 from labkit.finder.carpet_search import BATCH, Likely, is_carpet, likely_carpets
+from labkit.finder.mark_search import places_by_marks
 from labkit.finder.other_targets import Other, other_targets, shown_in_place
 from labkit.finder.picture import LEAST_CONTRAST, Picture
 from labkit.finder.registration import (
@@ -35,6 +36,7 @@ from labkit.finder.registration import (
 )
 from labkit.finder.template_search import likely_places
 from labkit.photographs.photograph import Photograph
+from labkit.target.grid import TargetGrid
 from labkit.target.target import Target
 from labkit.types import Floats
 
@@ -89,7 +91,7 @@ def find_target(
     ----------
     image : a decoded photograph of any size, or a grey image (rows, cols), linear or nearly so, of any scale and
         offset; NaN where there is no value
-    target : the target
+    target : the target; with marks as a grid of one, and of several targets the marked one is returned
     mm_per_pixel : millimetres on the target for each pixel, within 15 %. Of several carpets the one of this size is
         returned; other targets are searched for at this size
 
@@ -103,15 +105,19 @@ def find_target(
     TargetError
         The target is not in the frame, or outside by more than 5 % of its side, or there are several; or another one is shown.
     """
-    search = _Search(Picture.of(image), target)
+    alone, marked = (
+        (target.tile, target) if isinstance(target, TargetGrid) else (target, None)
+    )
+    search = _Search(Picture.of(image), alone)
     try:
-        found = search.found(mm_per_pixel)
+        found = search.found_by_marks(marked) if marked is not None else []
+        found = found or search.found(mm_per_pixel)
     except TargetError as error:
         if (other := search.other_shown()) is None:
             raise
         raise TargetError(other.message, error.likely_px) from error
-    corners = _meant(found, target, mm_per_pixel)
-    if (other := shown_in_place(search.picture, target, corners)) is not None:
+    corners = _meant(found, alone, mm_per_pixel)
+    if (other := shown_in_place(search.picture, alone, corners)) is not None:
         raise TargetError(other.message, [corners])
     return corners
 
@@ -224,6 +230,19 @@ class _Search:
                 if corners is not None:
                     return [corners, *self.others(corners, batch[number + 1 :])]
         raise self.failure()
+
+    def found_by_marks(self, marked: TargetGrid) -> list[Floats]:
+        """Return the corners of the targets that have marks beside them, in the coarsest copy that shows one; or none."""
+        for places in places_by_marks(self.picture, marked):
+            found: list[Floats] = []
+            for place in places:
+                if any(contains(one, place) for one in found):
+                    continue
+                if (corners := self.accepted(place)) is not None:
+                    found.append(corners)
+            if found:
+                return found
+        return []
 
     def other_shown(self) -> Other | None:
         """Return the target that is in the frame in place of the one that is not found; None if there is none either."""

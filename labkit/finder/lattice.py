@@ -35,8 +35,8 @@ from labkit.finder.registration import (
 from labkit.finder.tile_places import Lattice, first_place
 from labkit.photographs.photograph import Photograph
 from labkit.plan import TargetSpec
-from labkit.target.grid import Place, TargetGrid, open_grid
-from labkit.target.target import Target, open_target
+from labkit.target.grid import Place, TargetGrid, open_grid, whole_target
+from labkit.target.target import Target
 from labkit.types import Floats
 
 NEIGHBOURS = ((-1, 0), (1, 0), (0, -1), (0, 1))
@@ -92,7 +92,7 @@ def find_targets(
     """
     grid, picture = open_grid(spec), Picture.of(image)
     if grid is None:
-        return find_target(picture, open_target(spec), mm_per_pixel=mm_per_pixel)[None]
+        return find_target(picture, whole_target(spec), mm_per_pixel=mm_per_pixel)[None]
     tiles = np.stack([*find_tiles(picture, grid, mm_per_pixel=mm_per_pixel).values()])
     middle = (np.array(picture.shape) - 1) / 2
     away = np.linalg.norm(tiles.mean(axis=1) - middle, axis=-1)

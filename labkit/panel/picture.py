@@ -71,17 +71,22 @@ def _on_pixels(target: Target, panel: PanelInfo) -> Floats:
     return radiance
 
 
-def _laid_out(grid: TargetGrid, tile: Floats, panel: PanelInfo) -> tuple[Floats, float]:
-    """Return the radiance of a grid of equal pictures of a target (rows, cols), and their pitch in mm."""
-    pitch = max(round(grid.pitch_mm / panel.pitch_mm), max(tile.shape) + 1)
-    rows, cols = ((n - 1) * pitch + k for n, k in zip(grid.grid, tile.shape, strict=True))
+def _laid_out(
+    grid: TargetGrid, tile: Floats, panel: PanelInfo
+) -> tuple[Floats, float | None]:
+    """Return the radiance of a grid of equal pictures of a target (rows, cols), and their pitch in mm; None of one target."""
+    drawn = grid.in_dots(tile, panel.pitch_mm)
+    pitch = round(drawn.pitch_mm)
     held = [
         max(0, (n - k) // pitch + 1) for n, k in zip(panel.pixels, tile.shape, strict=True)
     ]
-    _refuse_larger(
-        (rows, cols), panel, f"it holds grid = {held} of them; or take smaller ones"
-    )
-    return grid.laid_out(tile, pitch), pitch * panel.pitch_mm
+    advice = f"it holds grid = {held} of them; or take smaller ones"
+    if grid.is_marked_one:
+        advice = "take a smaller target, or leave out marks"
+    height, width = drawn.size_mm
+    _refuse_larger((round(height), round(width)), panel, advice)
+    pitch_mm = None if grid.is_marked_one else pitch * panel.pitch_mm
+    return drawn.radiance_of_dots(), pitch_mm
 
 
 def _refuse_larger(pixels: tuple[int, int], panel: PanelInfo, advice: str) -> None:

@@ -176,7 +176,8 @@ class TargetSpec(Table):
     Default: none, a grid of targets needs it."""
     marks: Annotated[bool, Strict()] = False
     """Whether ArUco marks stand between a grid's targets. They tell which rows and columns a photograph shows where the frame
-    cuts the grid, and whether the grid is turned or mirrored."""
+    cuts the grid, and whether the grid is turned or mirrored. Of a single target: whether one stands beyond each corner, by
+    which it is found. With its marks it takes 2.2 of its sides."""
     diameter_mm: Length | None = None
     """Diameter of a disk, less than the side of its square. Default: none."""
     surround: Literal["black", "white", "unknown"] = "black"
@@ -243,12 +244,12 @@ class TargetSpec(Table):
                 raise problem(
                     f"pitch_mm = {self.pitch_mm:g}: {_NO_PITCH[self.kind == 'disks']}"
                 )
-            if self.marks:
-                raise problem(
-                    "marks = true: marks stand between the targets of a grid alone"
-                )
             return
         rows, cols = self.grid or (1, 1)
+        if self.marks and rows == cols == 1:
+            raise problem(
+                "grid = [1, 1]: marks of a single target need no grid, leave it out"
+            )
         if rows * cols > MOST_TARGETS:
             raise problem(
                 f"grid = [{rows}, {cols}]: allowed are up to {MOST_TARGETS} targets"

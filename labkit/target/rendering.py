@@ -103,9 +103,8 @@ def _gridon_dots(grid: TargetGrid, rows: int) -> tuple[Floats, float, float]:
     down = cells[0] * max(1, round(cell_dots))
     dot_mm = tile.size_mm[0] / down
     across = cells[1] * max(1, round(tile.size_mm[1] / dot_mm / cells[1]))
-    pitch = max(round(grid.pitch_mm / dot_mm), max(down, across) + 1)
-    radiance = grid.laid_out(on_dots(tile, (down, across)), pitch)
-    return radiance, dot_mm, pitch * dot_mm
+    drawn = grid.in_dots(on_dots(tile, (down, across)), dot_mm)
+    return drawn.radiance_of_dots(), dot_mm, drawn.pitch_mm * dot_mm
 
 
 def _raster(
@@ -135,7 +134,7 @@ def _raster(
 def _notes(target: Target, grey: NDArray[np.uint8], pitch_mm: float | None) -> list[str]:
     """Return remarks for a user; pitch_mm: of a grid as drawn."""
     notes: list[str] = []
-    if isinstance(target, TargetGrid) and pitch_mm is not None:
+    if isinstance(target, TargetGrid) and pitch_mm is not None and not target.is_marked_one:
         notes += _pitch_notes(target.pitch_mm, pitch_mm)
     if isinstance(target, CellTarget):
         dots = grey.shape[0] / target.cells.shape[0]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labkit.analysis.neighbours import halo_of_neighbours
+from labkit.analysis.neighbours import halo_of, halo_of_neighbours
 from labkit.target.target import CellTarget
 from labkit.types import Floats
 
@@ -40,3 +40,12 @@ def test_without_neighbours_there_is_no_light(tile: tuple[int, int] | None) -> N
     light = halo_of_neighbours(WHITE, {(0, 0): square(20.0, 25.0, 30.0)}, tile, CUT)
     assert light.shape == (40, 50)
     assert not light.any()
+
+
+def test_a_dark_target_on_white_takes_light_away() -> None:
+    cells = np.array([[1.0, 0.0, 1.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    other = square(20.0, 95.0, 30.0)
+    bright = halo_of([(CellTarget(cells, (1.0, 1.0)), other)], CUT)
+    dark = halo_of([(CellTarget(1 - cells, (1.0, 1.0), surround=1.0), other)], CUT)
+    assert bright.min() > 0
+    np.testing.assert_allclose(dark, -bright, rtol=1e-9)
