@@ -59,7 +59,7 @@ TOKENS: dict[str, int] = {
     "labkit/optics": 23200,
     "labkit/panel": 5900,
     "labkit/photographs": 13900,
-    "labkit/plan": 10200,
+    "labkit/plan": 10300,
     "labkit/report": 36300,
     "labkit/restoration": 24200,
     "labkit/results": 17300,
