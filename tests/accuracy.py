@@ -20,26 +20,24 @@ from labkit.storage.files import write_atomically
 ROOT = Path(__file__).parents[1]
 RECORD = Path(__file__).with_suffix(".json")
 
-ROOMS = (
-    NO_NUMERICS - {"acquisition", "advice", "catalogue", "cli", "devices", "report"}
-) - {"demo.py"}
-"""Rooms that fits do not depend on, and that measure something all the same."""
+ROOMS = (NO_NUMERICS | {"drivers"}) - {"field"}
+"""Rooms that no session and no field depends on."""
 
 
 def _sources() -> Iterator[Path]:
-    """Yield the files that every accuracy depends on."""
+    """Yield the files that every accuracy depends on: of the product, its simulator, and of the tests."""
     package = ROOT / "labkit"
-    for path in sorted(
-        [*package.rglob("*.py"), *(ROOT / "drivers/simulated").rglob("*.py")]
-    ):
-        room = (
-            path.relative_to(package).parts[0]
-            if path.is_relative_to(package)
-            else "drivers"
-        )
-        if room not in NO_NUMERICS or room in ROOMS:
+    for path in sorted(package.rglob("*.py")):
+        if path.relative_to(package).parts[0] not in ROOMS:
             yield path
-    yield from sorted((ROOT / "tests/golden").glob("*.py"))
+    for folder, deep in {
+        "targets": "*.py",
+        "drivers/simulated": "**/*.py",
+        "tests": "*.py",
+        "tests/golden": "*.py",
+        "benchmarks": "*.py",
+    }.items():
+        yield from sorted((ROOT / folder).glob(deep))
 
 
 def _meaning(path: Path) -> bytes:

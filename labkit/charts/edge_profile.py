@@ -69,7 +69,7 @@ class EdgeProfile:
 
 @dataclass(frozen=True)
 class ProfilePlace:
-    """Where the line of a profile lies, and how the light changes along it.
+    """The line of a profile, and the light along the line.
 
     Attributes
     ----------

@@ -20,10 +20,10 @@ from labkit.edges.spread import (
     SPREAD_PERIODS,
     TAIL,
     behind_lens,
+    wavefront_at,
 )
 from labkit.imaging.optics import Optics
 from labkit.optics.mtf import steepness, turning_transfer_function
-from labkit.optics.wavefront import FittedWavefront
 from labkit.types import Complexes, Floats
 
 MOST_MATRICES = (
@@ -95,7 +95,9 @@ class SpreadTable:
         rows = np.zeros((waves.size + 3, at_um.size))
         rows[0] = 0.5 + tail * radians * TAIL(radians * at_um)
         rows[1] = tail * radians**2 * TAIL.deriv()(radians * at_um)
-        wavefronts = [self._wavefront(waves, node) for _, node in optics.light.shares]
+        wavefronts = [
+            wavefront_at(self.optics, waves, node) for _, node in optics.light.shares
+        ]
         steepest = max(map(steepness, wavefronts))
         count = SLICE_NODES + int(NODES_PER_STEEPNESS * steepest)
         count = -(-count // NODES_AT_ONCE) * NODES_AT_ONCE
@@ -113,19 +115,6 @@ class SpreadTable:
             rows[1] += (to_line @ (share * value)).real
             rows[2:] += steps[1:]
         return rows
-
-    def _wavefront(self, waves: Floats, node: float) -> FittedWavefront:
-        """Return the wavefront in a wavelength, relative to the nominal one."""
-        optics = self.optics
-        return FittedWavefront(
-            optics.noll,
-            waves,
-            np.zeros((waves.size, waves.size)),
-            node * optics.wavelength_nm,
-            optics.reference_nm,
-            optics.f_number,
-            rim=optics.rim,
-        )
 
     def matrices(self, count: int, cutoff_per_mm: float) -> tuple[Complexes, Complexes]:
         """Return matrices (grid, nodes) from the lens's transfer function to the spread and to its slope."""

@@ -93,14 +93,9 @@ def camera_slice(
     return Slice(plain * further, by_waves, by_azimuth * further, by_blur)
 
 
-def _lens_slice(
-    optics: Optics, waves: Floats, azimuth: float, frequency: Floats, node: float
-) -> Complexes:
-    """Return the lens's value in a wavelength, then its slopes by modes and azimuth: (modes + 2, f), 0 beyond the cutoff.
-
-    node : wavelength relative to the nominal one
-    """
-    wavefront = FittedWavefront(
+def wavefront_at(optics: Optics, waves: Floats, node: float) -> FittedWavefront:
+    """Return the wavefront in a wavelength, relative to the nominal one, without errors."""
+    return FittedWavefront(
         optics.noll,
         waves,
         np.zeros((waves.size, waves.size)),
@@ -109,6 +104,16 @@ def _lens_slice(
         optics.f_number,
         rim=optics.rim,
     )
+
+
+def _lens_slice(
+    optics: Optics, waves: Floats, azimuth: float, frequency: Floats, node: float
+) -> Complexes:
+    """Return the lens's value in a wavelength, then its slopes by modes and azimuth: (modes + 2, f), 0 beyond the cutoff.
+
+    node : wavelength relative to the nominal one
+    """
+    wavefront = wavefront_at(optics, waves, node)
     count = SLICE_NODES + int(NODES_PER_STEEPNESS * steepness(wavefront))
     at = ((1 + chebyshev.chebpts1(count)[::-1]) / 2) ** 2  # 1 - f lambda N
     value, slopes = turning_transfer_function(

@@ -85,7 +85,10 @@ def test_a_pipe_or_a_folder_in_place_of_the_store_is_never_waited_for(paces: Pac
 
 def test_a_folder_that_cannot_be_made_stops_nothing(tmp_path: Path) -> None:
     (tmp_path / "state").write_text("a file")
-    Paces(tmp_path / "state" / "paces.json").learn("fit", 1.0, 5.0)
+    paces = Paces(tmp_path / "state" / "paces.json")
+    paces.learn("fit", 1.0, 5.0)
+    assert paces.expected_s("fit", 1.0) is None
+    assert (tmp_path / "state").read_text() == "a file"
 
 
 def test_a_fit_is_expected_to_take_what_most_take_until_one_was_timed(
